@@ -1,0 +1,47 @@
+# Each target sets up what it needs; `make demo` and `make test` are all a newcomer types.
+PYTHON ?= python3
+VENV := .venv
+BIN := $(VENV)/bin
+STAMP := $(VENV)/.ready
+
+.PHONY: setup demo run test test-long lint bench docs clean
+.DEFAULT_GOAL := help
+
+help: ## what there is
+	@grep -E '^[a-z-]+:.*##' $(MAKEFILE_LIST) | sed -E 's/:.*## /\t/' | expand -t 14
+
+$(STAMP): pyproject.toml requirements.lock
+	@$(PYTHON) -c 'import sys; sys.exit(sys.version_info < (3, 11))' || { echo "tagmill needs Python 3.11 or newer; '$(PYTHON)' is older. Name another: make PYTHON=python3.12 $(MAKECMDGOALS)"; exit 1; }
+	$(PYTHON) -m venv $(VENV)
+	$(BIN)/pip install --quiet --upgrade pip
+	$(BIN)/pip install --quiet --constraint requirements.lock --editable '.[dev]'
+	@touch $@
+
+setup: $(STAMP) ## make .venv with everything that the other targets need
+
+demo: $(STAMP) ## record 24 samples from two synthetic cameras and show the table against the truth
+	$(BIN)/python -m tools.demo
+
+run: $(STAMP) ## start the stack with the rig of RIG=... (default: the synthetic example)
+	$(BIN)/tagmill up --rig $(or $(RIG),deploy/examples/synthetic.yaml)
+
+test: $(STAMP) ## everything but the long runs (under 10 minutes on 2 cores)
+	$(BIN)/python -m pytest -m 'not long'
+
+test-long: $(STAMP) ## the long runs
+	$(BIN)/python -m pytest -m long
+
+lint: $(STAMP) ## ruff, mypy strict, import-linter
+	$(BIN)/ruff check .
+	$(BIN)/ruff format --check .
+	$(BIN)/mypy
+	$(BIN)/lint-imports
+
+bench: $(STAMP) ## load test: four synthetic cameras through the real stack
+	$(BIN)/tagmill bench load --cameras 4 --fps 30 --size 1280x720 --seconds 30
+
+docs: $(STAMP) ## write the generated pages (topics, command socket, label schema)
+	$(BIN)/python -m tools.docs
+
+clean: ## remove what the targets made
+	rm -rf $(VENV) build dist *.egg-info .mypy_cache .ruff_cache .pytest_cache demo-out

@@ -1,0 +1,3 @@
+"""What the services share; knows no service."""
+
+VERSION = "0.1.0"

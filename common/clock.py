@@ -1,0 +1,34 @@
+"""The project's only clock: monotonic time orders events, wall-clock time names samples.
+
+Nothing else calls ``time.time``; so a test can set the wall clock back here without touching the machine's.
+"""
+
+from __future__ import annotations
+
+import os
+import time
+from datetime import UTC, datetime
+
+_wall_offset_ns = int(float(os.environ.get("TAGMILL_WALL_OFFSET_S", "0")) * 1e9)
+
+
+def monotonic_ns() -> int:
+    """Nanoseconds of CLOCK_MONOTONIC; comparable between processes of one machine."""
+    return time.monotonic_ns()
+
+
+def wall_ns() -> int:
+    """Nanoseconds since the Unix epoch (UTC); may jump when the machine's clock is set."""
+    return time.time_ns() + _wall_offset_ns
+
+
+def shift_wall_clock(offset_s: float) -> None:
+    """Move this process's idea of the wall clock by ``offset_s`` seconds (tests of a clock that was set)."""
+    global _wall_offset_ns
+    _wall_offset_ns = int(offset_s * 1e9)
+
+
+def iso_utc(wall: int) -> str:
+    """ISO 8601 UTC with milliseconds, e.g. ``2026-08-30T12:04:31.120Z``."""
+    moment = datetime.fromtimestamp(wall // 1_000_000_000, tz=UTC)
+    return f"{moment:%Y-%m-%dT%H:%M:%S}.{wall // 1_000_000 % 1000:03d}Z"

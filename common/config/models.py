@@ -1,0 +1,184 @@
+"""The rig file's fields. Every default a user relies on stands here; the loader adds file and line to mistakes."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Annotated, Any, Literal
+
+from pydantic import BaseModel, ConfigDict, Field
+
+from common.ids import NAME_PATTERN
+from common.labels import FaceName
+
+Name = Annotated[str, Field(pattern=NAME_PATTERN)]
+PositiveMm = Annotated[float, Field(gt=0, allow_inf_nan=False)]
+Millimetres = Annotated[float, Field(allow_inf_nan=False)]
+
+
+class Section(BaseModel):
+    """A frozen part of the rig file; unknown keys are refused."""
+
+    model_config = ConfigDict(frozen=True, extra="forbid")
+
+
+class DatasetConfig(Section):
+    """Where samples go: ``<root>/<session>/``."""
+
+    root: Path = Path("./dataset")
+    session: Name = "session"
+    keep_original: bool = False
+    format: Literal["png"] = "png"
+
+
+class MarkersConfig(Section):
+    """The marker family: a cv2 predefined dictionary's name (any case, with or without ``DICT_``) or a file."""
+
+    family: str = "apriltag_36h11"
+
+
+class SizeConfig(Section):
+    """Width and height as seen from the front (or from a side, where it stands there), and depth, in mm."""
+
+    width: PositiveMm
+    height: PositiveMm
+    depth: PositiveMm
+
+
+class PlacementConfig(Section):
+    """One marker on a side. ``marker_size_mm`` is the black square, ``border_mm`` the white margin around it."""
+
+    marker: Annotated[int, Field(ge=0)]
+    marker_size_mm: PositiveMm
+    border_mm: Annotated[float, Field(ge=0, allow_inf_nan=False)] = 0.0
+    offset_mm: Annotated[tuple[Millimetres, ...], Field(min_length=2, max_length=3)] = (0.0, 0.0)
+    rotation_deg: Millimetres = 0.0
+
+
+class SideConfig(Section):
+    """A side: its class is the key. Either one marker in place or a list ``markers``."""
+
+    face: FaceName | None = None
+    size_mm: SizeConfig | None = None
+    marker: Annotated[int, Field(ge=0)] | None = None
+    marker_size_mm: PositiveMm | None = None
+    border_mm: Annotated[float, Field(ge=0, allow_inf_nan=False)] | None = None
+    offset_mm: Annotated[tuple[Millimetres, ...], Field(min_length=2, max_length=3)] | None = None
+    rotation_deg: Millimetres | None = None
+    markers: Annotated[tuple[PlacementConfig, ...], Field(min_length=1)] | None = None
+
+
+class ObjectConfig(Section):
+    """A physical object: a cuboid with markers on its sides."""
+
+    name: Name
+    type: str | None = None
+    size_mm: SizeConfig | None = None
+    sides: Annotated[dict[Name, SideConfig], Field(min_length=1)]
+
+
+class CameraConfig(BaseModel):
+    """A camera; further keys belong to its driver (``options``)."""
+
+    model_config = ConfigDict(frozen=True, extra="allow")
+
+    driver: str
+    calibration: Path | None = None
+    width: Annotated[int, Field(ge=16, le=16384)] | None = None
+    height: Annotated[int, Field(ge=16, le=16384)] | None = None
+    fps: Annotated[float, Field(gt=0, le=1000)] | None = None
+
+    @property
+    def options(self) -> dict[str, Any]:
+        """The driver's own keys."""
+        return dict(self.model_extra or {})
+
+
+class NetworkConfig(Section):
+    """Sockets. ``keys`` is a folder of CURVE keys, needed when ``command`` is not on loopback."""
+
+    prefix: Name = "tagmill"
+    command: str = "tcp://127.0.0.1:5750"
+    console: str = "http://127.0.0.1:8750"
+    keys: Path | None = None
+
+
+class WorkersConfig(Section):
+    """How many processes share the cameras."""
+
+    detect: Annotated[int, Field(ge=1, le=64)] = 1
+    label: Annotated[int, Field(ge=1, le=64)] = 1
+
+
+class RingConfig(Section):
+    """Slots of a camera's frame ring and of a label process's sample ring (= how many samples may wait)."""
+
+    slots: Annotated[int, Field(ge=3, le=1024)] = 12
+    samples: Annotated[int, Field(ge=1, le=1024)] = 64
+
+
+class RecordConfig(Section):
+    """``incomplete``: what to do with a frame in which an object that must be there has no pose."""
+
+    incomplete: Literal["refuse", "keep"] = "refuse"
+
+
+class PoseConfig(Section):
+    """``ambiguous``: a lone marker whose two poses fit alike and whose corners differ by more than ``ambiguous_px``."""
+
+    ambiguous: Literal["refuse", "keep"] = "refuse"
+    ambiguous_px: Annotated[float, Field(gt=0)] = 6.0
+
+
+class InpaintConfig(Section):
+    """How markers are erased. ``margin``: beyond the white border, as a share of the marker's size."""
+
+    method: Literal["telea", "ns"] = "telea"
+    margin: Annotated[float, Field(ge=0, le=2)] = 0.15
+    radius_px: Annotated[float, Field(gt=0, le=50)] = 3.0
+
+
+class RigConfig(Section):
+    """A whole ``rig.yaml``."""
+
+    dataset: DatasetConfig = DatasetConfig()
+    markers: MarkersConfig = MarkersConfig()
+    objects: tuple[ObjectConfig, ...] = ()
+    cameras: dict[Name, CameraConfig] = {}
+    network: NetworkConfig = NetworkConfig()
+    workers: WorkersConfig = WorkersConfig()
+    ring: RingConfig = RingConfig()
+    record: RecordConfig = RecordConfig()
+    pose: PoseConfig = PoseConfig()
+    inpaint: InpaintConfig = InpaintConfig()
+
+
+class SyntheticOptions(Section):
+    """Keys of ``driver: synthetic``. The scene moves on a path that follows from ``seed``."""
+
+    seed: int = 1
+    depth: bool = True
+    markers: bool = True
+    burn_frame: bool = False
+    noise: Annotated[float, Field(ge=0, le=100)] = 2.0
+    blur_px: Annotated[float, Field(ge=0, le=20)] = 0.6
+    focal_px: Annotated[float, Field(gt=0)] | None = None
+    distortion: tuple[float, ...] = (0.08, -0.15, 0.0005, -0.0005, 0.05)
+    distance_mm: Annotated[float, Field(gt=0)] | None = None
+    speed: Annotated[float, Field(ge=0, le=100)] = 1.0
+    frames: Annotated[int, Field(ge=1)] | None = None
+    prerendered: Annotated[int, Field(ge=0, le=10000)] = 0
+
+
+class FilesOptions(Section):
+    """Keys of ``driver: files``. ``path`` is a folder, a glob or a video; ``depth_path`` a folder of depth PNGs."""
+
+    path: Path
+    depth_path: Path | None = None
+    depth_unit_mm: PositiveMm = 1.0
+    loop: bool = False
+    begin: Literal["on_start", "at_start"] = "on_start"
+    pace: Literal["fps", "consumer"] = "fps"
+
+
+DRIVER_OPTIONS: dict[str, type[Section]] = {"synthetic": SyntheticOptions, "files": FilesOptions}
+"""Built-in drivers and the model of their keys; other drivers check their own."""

@@ -1,0 +1,29 @@
+"""Camera model, rigid poses, the cuboid object. Pure functions and frozen values on numpy arrays."""
+
+from common.geometry.box import (
+    CORNER_NAMES,
+    EDGES,
+    FACES,
+    MARKER_CORNERS,
+    Box,
+    BoxSide,
+    Face,
+    MarkerOnSide,
+    marker_points,
+)
+from common.geometry.camera import CameraModel
+from common.geometry.pose import Pose
+
+__all__ = [
+    "CORNER_NAMES",
+    "EDGES",
+    "FACES",
+    "MARKER_CORNERS",
+    "Box",
+    "BoxSide",
+    "CameraModel",
+    "Face",
+    "MarkerOnSide",
+    "Pose",
+    "marker_points",
+]

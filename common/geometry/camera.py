@@ -1,0 +1,132 @@
+"""The camera model: OpenCV's pinhole and fisheye projection, kept sane outside the picture.
+
+Camera frame: x right, y down, z forward, mm. Pixels: integer = pixel centre.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, field
+from typing import Literal
+
+import cv2
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+from common.labels import CameraLabel
+
+Array = NDArray[np.float64]
+NEAR_MM = 1.0
+"""Points nearer than this to the camera's plane, or behind it, have no projection."""
+MARGIN = 1.25
+"""The distortion model is trusted to this multiple of the radius that the picture's corners need."""
+
+
+@dataclass(frozen=True, eq=False)
+class CameraModel:
+    """Intrinsics of one camera at one picture size.
+
+    ``matrix`` 3x3 (px), ``distortion`` as cv2 wants it (pinhole: k1 k2 p1 p2 k3 ..., fisheye: k1..k4).
+    """
+
+    width: int
+    height: int
+    matrix: Array
+    distortion: Array
+    model: Literal["pinhole", "fisheye"] = "pinhole"
+    _limit: float = field(init=False, repr=False)
+
+    def __post_init__(self) -> None:
+        object.__setattr__(self, "matrix", np.asarray(self.matrix, dtype=np.float64).reshape(3, 3))
+        object.__setattr__(self, "distortion", np.asarray(self.distortion, dtype=np.float64).ravel())
+        object.__setattr__(self, "_limit", self._trusted_radius())
+
+    @classmethod
+    def from_label(cls, label: CameraLabel) -> CameraModel:
+        """From the form in which a camera describes itself."""
+        return cls(
+            label.width, label.height, np.array(label.matrix), np.array(label.distortion), model=label.model
+        )
+
+    @classmethod
+    def guess(cls, width: int, height: int, field_of_view_deg: float = 65.0) -> CameraModel:
+        """An uncalibrated camera: square pixels, centred, no distortion, the given horizontal field of view."""
+        focal = width / 2 / np.tan(np.radians(field_of_view_deg) / 2)
+        matrix = np.array([[focal, 0, (width - 1) / 2], [0, focal, (height - 1) / 2], [0, 0, 1]])
+        return cls(width, height, matrix, np.zeros(5))
+
+    def project(self, points: ArrayLike) -> tuple[Array, NDArray[np.bool_]]:
+        """Project points (N, 3) in the camera frame (mm).
+
+        Returns pixels (N, 2), NaN for points behind the camera, and a mask (N,) of those in front.
+        Beyond the radius for which the distortion model was fitted (``MARGIN`` times the picture's corners,
+        or where the radial polynomial turns back) the projection goes on in a straight line with the
+        model's slope there, so that a far-off corner is far off and never folds back into the picture.
+        """
+        xyz = np.asarray(points, dtype=np.float64).reshape(-1, 3)
+        pixels = np.full((len(xyz), 2), np.nan)
+        front = xyz[:, 2] >= NEAR_MM
+        if front.any():
+            pixels[front] = self._project_normalised(xyz[front, :2] / xyz[front, 2:])
+        return pixels, front
+
+    def normalise(self, pixels: ArrayLike) -> Array:
+        """Undistort pixels (N, 2) to x/z, y/z (N, 2) in the camera frame."""
+        uv = np.asarray(pixels, dtype=np.float64).reshape(-1, 1, 2)
+        if self.model == "fisheye":
+            out = cv2.fisheye.undistortPoints(uv, self.matrix, self.distortion[:4])
+        else:
+            criteria = (cv2.TERM_CRITERIA_COUNT | cv2.TERM_CRITERIA_EPS, 60, 1e-9)
+            out = cv2.undistortPointsIter(uv, self.matrix, self.distortion, np.eye(3), np.eye(3), criteria)
+        return np.asarray(out, dtype=np.float64).reshape(-1, 2)
+
+    def contains(self, pixels: ArrayLike) -> NDArray[np.bool_]:
+        """Which pixels (N, 2) lie inside the picture's area, i.e. in [-0.5, width - 0.5) x [-0.5, height - 0.5)."""
+        uv = np.asarray(pixels, dtype=np.float64).reshape(-1, 2)
+        with np.errstate(invalid="ignore"):
+            inside: NDArray[np.bool_] = (
+                (uv[:, 0] >= -0.5)
+                & (uv[:, 0] < self.width - 0.5)
+                & (uv[:, 1] >= -0.5)
+                & (uv[:, 1] < self.height - 0.5)
+            )
+        return inside
+
+    def _project_normalised(self, xy: Array) -> Array:
+        radius = np.hypot(xy[:, 0], xy[:, 1])
+        beyond = radius > self._limit
+        if not beyond.any():
+            return self._distort(xy)
+        scale = np.where(beyond, self._limit / np.maximum(radius, 1e-12), 1.0)[:, None]
+        at_limit = self._distort(xy * scale)
+        step = 1e-3 * self._limit
+        inner = self._distort(xy * scale * (1 - step / self._limit))
+        slope = (at_limit - inner) / step
+        return np.where(beyond[:, None], at_limit + slope * (radius - self._limit)[:, None], at_limit)
+
+    def _distort(self, xy: Array) -> Array:
+        xyz = np.column_stack([xy, np.ones(len(xy))]).reshape(-1, 1, 3)
+        zero = np.zeros(3)
+        if self.model == "fisheye":
+            pixels, _ = cv2.fisheye.projectPoints(xyz, zero, zero, self.matrix, self.distortion[:4])
+        else:
+            pixels, _ = cv2.projectPoints(xyz, zero, zero, self.matrix, self.distortion)
+        return np.asarray(pixels, dtype=np.float64).reshape(-1, 2)
+
+    def _trusted_radius(self) -> float:
+        """Radius (x/z units) up to which the model is used as it stands."""
+        if self.width < 1 or self.height < 1 or not self.distortion.any():
+            return float("inf")
+        corners = np.array(
+            [[0, 0], [self.width, 0], [self.width, self.height], [0, self.height]], dtype=float
+        )
+        centred = (corners - self.matrix[:2, 2]) / np.diag(self.matrix)[:2]
+        wanted = float(np.hypot(centred[:, 0], centred[:, 1]).max())
+        radii = np.linspace(0.0, max(4.0 * wanted, 4.0), 4001)
+        pixels = self._distort(np.column_stack([radii, np.zeros_like(radii)]))
+        distorted = (pixels[:, 0] - self.matrix[0, 2]) / self.matrix[0, 0]
+        rising = np.diff(distorted) > 0.0
+        turn = int(np.argmin(rising)) if not rising.all() else len(radii) - 1
+        reached = np.nonzero(distorted[: turn + 1] >= wanted)[0]
+        if len(reached):
+            return float(min(radii[reached[0]] * MARGIN, radii[turn] * 0.98))
+        return float(max(radii[turn] * 0.98, radii[1]))

@@ -1,0 +1,237 @@
+"""The label: what tagmill knows about one frame. Same types on the bus and in the label file.
+
+Units: millimetres, pixels (integer = pixel centre), radians in rotation vectors, degrees where a field says so.
+"""
+
+from __future__ import annotations
+
+from typing import Annotated, Literal
+
+from pydantic import BaseModel, ConfigDict, Field
+
+LABEL_SCHEMA: Literal["tagmill.label/1"] = "tagmill.label/1"
+
+Point = tuple[float, float]
+Vector3 = tuple[float, float, float]
+Row4 = tuple[float, float, float, float]
+Quad = tuple[Point, Point, Point, Point]
+Matrix3 = tuple[Vector3, Vector3, Vector3]
+FaceName = Literal["front", "back", "left", "right", "top", "bottom"]
+
+
+class Part(BaseModel):
+    """A frozen part of a label; unknown fields are refused."""
+
+    model_config = ConfigDict(frozen=True, extra="forbid", populate_by_name=True)
+
+
+class Window(Part):
+    """An axis-aligned bounding box in pixels; may reach outside the picture where it says *unclipped*."""
+
+    x_min: float
+    y_min: float
+    x_max: float
+    y_max: float
+
+
+class Corner(Part):
+    """One of the box's eight corners; ``x`` and ``y`` are None where it lies behind the camera."""
+
+    name: str
+    x: float | None
+    y: float | None
+    in_image: bool
+
+
+class PoseLabel(Part):
+    """Object frame to camera frame: Rodrigues vector (rad), translation (mm), the same as a 4x4 matrix."""
+
+    rvec: Vector3
+    tvec_mm: Vector3
+    matrix: tuple[Row4, Row4, Row4, Row4]
+
+
+class SideLabel(Part):
+    """A side of which a marker was seen; one entry a marker."""
+
+    class_name: Annotated[str, Field(alias="class")]
+    face: FaceName
+    marker: int
+    marker_corners: Quad
+    corners_kind: str
+    distance_mm: float
+    distance_joint_mm: float
+    viewing_angle_deg: float
+    residual_px: float
+    polygon: tuple[Point, ...]
+
+
+class Quality(Part):
+    """How far an object's pose can be trusted."""
+
+    reprojection_error_px: float
+    markers: int
+    ambiguous: bool = False
+    alternative_pose: PoseLabel | None = None
+
+
+class ObjectLabel(Part):
+    """One object in one frame. ``source`` names what found it: ``markers``, or a later detector's name."""
+
+    id: int
+    name: str
+    type: str
+    source: str = "markers"
+    pose_source: Literal["measured", "interpolated", "tracked"] = "measured"
+    sides: tuple[SideLabel, ...]
+    pose: PoseLabel
+    corners: tuple[Corner, ...]
+    window: Window | None
+    window_unclipped: Window
+    distance_mm: float
+    quality: Quality
+
+
+class LeftOut(Part):
+    """A marker that gave no side, and why: unknown_marker, duplicate_marker, not_detected, bad_pose."""
+
+    marker: int
+    reason: str
+    object: str | None = None
+    corners: Quad | None = None
+
+
+class DetectedWindow(Part):
+    """A detection that isn't a marker: what a second, named source (a model) saw."""
+
+    class_name: Annotated[str, Field(alias="class")]
+    score: float
+    window: Window
+
+
+class SourceDetections(Part):
+    """The detections of one named source other than the markers, for the frame of the label."""
+
+    source: str
+    windows: tuple[DetectedWindow, ...]
+
+
+class CameraLabel(Part):
+    """The camera as it was for this frame; the intrinsics are those of the stored picture."""
+
+    name: str
+    width: int
+    height: int
+    matrix: Matrix3
+    distortion: tuple[float, ...]
+    model: Literal["pinhole", "fisheye"] = "pinhole"
+    intrinsics_from: Literal["calibration", "factory", "truth", "guess"] = "calibration"
+    serial: str | None = None
+
+
+class DepthLabel(Part):
+    """How to read the depth picture: ``value * unit_mm`` is mm along the optical axis, 0 is invalid."""
+
+    unit_mm: float
+
+
+class ErasedPolygon(Part):
+    """One erased region; ``marker`` is the marker's id, ``because`` detected or pose."""
+
+    marker: int
+    because: Literal["detected", "pose"]
+    polygon: tuple[Point, ...]
+
+
+class Erased(Part):
+    """What was inpainted and how."""
+
+    method: str
+    margin: str
+    polygons: tuple[ErasedPolygon, ...]
+
+
+class StoredFile(Part):
+    """A file of a sample; ``path`` is relative to the session folder."""
+
+    path: str
+    size: int
+    sha256: str
+
+
+class SampleFiles(Part):
+    """The files a label belongs to; readers go by these, never by a built path."""
+
+    rgb: StoredFile
+    depth: StoredFile | None = None
+    original: StoredFile | None = None
+
+
+class Label(Part):
+    """The label file (``label_<sample>.json``); on its way to the store ``files`` is still None."""
+
+    schema_: Annotated[Literal["tagmill.label/1"], Field(alias="schema")] = LABEL_SCHEMA
+    sample: str
+    session: str
+    recording: str | None
+    camera: CameraLabel
+    frame: int
+    boot: str
+    source_name: str | None
+    captured_at: str
+    captured_wall_ns: int
+    captured_mono_ns: int
+    device_ns: int | None
+    depth: DepthLabel | None
+    background: bool
+    objects: tuple[ObjectLabel, ...]
+    left_out: tuple[LeftOut, ...]
+    detections: tuple[SourceDetections, ...] = ()
+    inpainted: Erased
+    files: SampleFiles | None = None
+    versions: dict[str, str]
+
+
+class CameraLedger(Part):
+    """One camera's account in a recording: captured = recorded + refused + dropped once it is settled."""
+
+    captured: int = 0
+    detected: dict[str, int] = {}
+    labelled: int = 0
+    recorded: int = 0
+    refused: dict[str, int] = {}
+    dropped: dict[str, int] = {}
+    pending: int = 0
+    last_count: int = 0
+    boot: str = ""
+
+    @property
+    def settled(self) -> bool:
+        """Whether every captured frame is accounted for."""
+        return self.captured == self.recorded + sum(self.refused.values()) + sum(self.dropped.values())
+
+
+RecordingMode = Literal["record", "all", "auto"]
+RecordingPhase = Literal["running", "finishing", "ended", "interrupted"]
+
+
+class RecordingSpec(Part):
+    """What was asked for."""
+
+    recording: str
+    mode: RecordingMode
+    cameras: tuple[str, ...]
+    every_s: float = 0.0
+    until_count: int | None = None
+    background: bool = False
+    started_at: str
+
+
+class Ledger(Part):
+    """The account of one recording, by camera."""
+
+    spec: RecordingSpec
+    phase: RecordingPhase
+    ended_at: str | None = None
+    why: str | None = None
+    cameras: dict[str, CameraLedger]

@@ -1,0 +1,61 @@
+"""Frozen pydantic models for everything that travels between services, and their strict codec."""
+
+from common.messages.base import MAX_BYTES, SCHEMA_VERSION, Message, Stamp, decode, encode, unpack
+from common.messages.detections import MARKERS, DetectedMarker, Detections, Labels, Preview
+from common.messages.frames import CameraState, FrameAnnounced, FrameRef, TrueMarker, TrueObject, Truth
+from common.messages.orders import (
+    Answer,
+    ErrorInfo,
+    LabelOrder,
+    LedgerOrder,
+    LedgerQuery,
+    Order,
+    PreviewOrder,
+    RecordOrder,
+    ReloadOrder,
+    SessionOrder,
+    StartOrder,
+    StopOrder,
+    StoreOrder,
+    StoreSideOrder,
+)
+from common.messages.state import RecordingState, ServiceState, Shares, Warned
+
+__all__ = [
+    "MARKERS",
+    "MAX_BYTES",
+    "SCHEMA_VERSION",
+    "Answer",
+    "CameraState",
+    "DetectedMarker",
+    "Detections",
+    "ErrorInfo",
+    "FrameAnnounced",
+    "FrameRef",
+    "LabelOrder",
+    "Labels",
+    "LedgerOrder",
+    "LedgerQuery",
+    "Message",
+    "Order",
+    "Preview",
+    "PreviewOrder",
+    "RecordOrder",
+    "RecordingState",
+    "ReloadOrder",
+    "ServiceState",
+    "SessionOrder",
+    "Shares",
+    "Stamp",
+    "StartOrder",
+    "StopOrder",
+    "StoreOrder",
+    "StoreSideOrder",
+    "TrueMarker",
+    "TrueObject",
+    "Truth",
+    "Warned",
+    "decode",
+    "encode",
+    "unpack",
+]

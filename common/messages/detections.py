@@ -1,0 +1,47 @@
+"""What a detector saw in a frame. Several named sources may publish these; ``markers`` is tagmill's own."""
+
+from __future__ import annotations
+
+from common.labels import DetectedWindow, LeftOut, ObjectLabel, Part, Quad
+from common.messages.base import Message
+from common.messages.frames import FrameRef
+
+MARKERS = "markers"
+
+
+class DetectedMarker(Part):
+    """A marker: id and corners TL TR BR BL in the marker's own frame, px, integer = pixel centre.
+
+    ``kind`` says how the corners were found: ``contour``, ``subpix``, ``apriltag``, ``photometric``.
+    """
+
+    id: int
+    corners: Quad
+    kind: str
+
+
+class Detections(Message):
+    """One source's detections in one frame; ``skipped`` counts, since start, frames it passed over (why)."""
+
+    ref: FrameRef
+    source: str = MARKERS
+    markers: tuple[DetectedMarker, ...] = ()
+    windows: tuple[DetectedWindow, ...] = ()
+    took_ns: int = 0
+    skipped: dict[str, int] = {}
+
+
+class Labels(Message):
+    """The labelled frame: objects with poses, and what gave no object."""
+
+    ref: FrameRef
+    objects: tuple[ObjectLabel, ...]
+    left_out: tuple[LeftOut, ...] = ()
+    took_ns: int = 0
+
+
+class Preview(Message):
+    """An inpainted picture lies in the label process's preview ring (``shown``); ``of`` is the camera's frame."""
+
+    shown: FrameRef
+    of: FrameRef

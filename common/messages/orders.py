@@ -1,0 +1,137 @@
+"""Orders: messages that must not be lost. Each has a ``key`` and gets exactly one final answer with that key."""
+
+from __future__ import annotations
+
+from typing import Literal
+
+from pydantic import BaseModel, ConfigDict
+
+from common.labels import CameraLedger, Label, Ledger, Part, RecordingSpec
+
+
+class Order(BaseModel):
+    """Base of orders; a repeated key is the same order."""
+
+    model_config = ConfigDict(frozen=True, extra="forbid", populate_by_name=True)
+
+    key: str
+
+
+class ErrorInfo(Part):
+    """Why something was refused: a stable code and one sentence."""
+
+    code: str
+    message: str
+
+
+class Answer(BaseModel):
+    """The final answer to the order with the same key."""
+
+    model_config = ConfigDict(frozen=True, extra="forbid", populate_by_name=True)
+
+    key: str
+    error: ErrorInfo | None = None
+    samples: tuple[str, ...] = ()
+    pending: tuple[str, ...] = ()
+    ledgers: tuple[Ledger, ...] = ()
+    text: str | None = None
+
+
+# --- control to label -------------------------------------------------------------------------------------
+
+
+class RecordOrder(Order):
+    """Record ``count`` fitting frames of one camera; the answer comes when all are durable or time is up.
+
+    Only frames captured after ``since_mono_ns`` fit, or just ``frame`` (still in the ring).
+    """
+
+    kind: Literal["record"] = "record"
+    recording: str
+    camera: str
+    count: int = 1
+    interval_s: float = 0.0
+    timeout_s: float = 5.0
+    since_mono_ns: int = 0
+    frame: int | None = None
+    background: bool = False
+
+
+class StartOrder(Order):
+    """Begin a recording on one camera; answered at once."""
+
+    kind: Literal["start"] = "start"
+    spec: RecordingSpec
+    camera: str
+
+
+class StopOrder(Order):
+    """End a recording on one camera; answered with its ledger once everything is durable."""
+
+    kind: Literal["stop"] = "stop"
+    recording: str
+    camera: str
+
+
+class PreviewOrder(Order):
+    """A lease of 5 s for inpainted previews of a camera."""
+
+    kind: Literal["preview"] = "preview"
+    camera: str
+    inpaint: bool = True
+
+
+class ReloadOrder(Order):
+    """Read the rig file again (control has checked it)."""
+
+    kind: Literal["reload"] = "reload"
+
+
+# --- label and control to store ---------------------------------------------------------------------------
+
+
+class StoreOrder(Order):
+    """Make a sample durable; ``key`` is its name.
+
+    The pixels lie in slot ``slot`` of the sample ring ``ring`` until the answer.
+    """
+
+    kind: Literal["store"] = "store"
+    recording: str | None
+    camera: str
+    ring: str
+    slot: int
+    label: Label
+
+
+class LedgerOrder(Order):
+    """Put one camera's account of a recording into the session's ledger.
+
+    ``spec`` makes the recording known when the ledger doesn't have it yet.
+    """
+
+    kind: Literal["ledger"] = "ledger"
+    spec: RecordingSpec
+    camera: str
+    account: CameraLedger
+    ended: bool = False
+    why: str | None = None
+
+
+class LedgerQuery(Order):
+    """Ask for ledgers: of one recording, or of all that run (``recording`` None)."""
+
+    kind: Literal["query"] = "query"
+    recording: str | None = None
+
+
+class SessionOrder(Order):
+    """Open or continue a session by name; ``new_if_different`` starts ``name-2`` ... where the rig differs."""
+
+    kind: Literal["session"] = "session"
+    name: str
+    new_if_different: bool = False
+
+
+LabelOrder = RecordOrder | StartOrder | StopOrder | PreviewOrder | ReloadOrder
+StoreSideOrder = StoreOrder | LedgerOrder | LedgerQuery | SessionOrder | ReloadOrder

@@ -1,0 +1,50 @@
+"""State topics: repeated at 1 Hz, so that whoever comes late knows within a second."""
+
+from __future__ import annotations
+
+from typing import Literal
+
+from common.labels import Ledger, Part
+from common.messages.base import Message
+
+ServicePhase = Literal["starting", "running", "faulty", "draining", "stopped"]
+
+
+class Warned(Part):
+    """A warning for the operator: when (wall ns), a code, one plain sentence."""
+
+    wall_ns: int
+    code: str
+    message: str
+
+
+class ServiceState(Message):
+    """A service's heartbeat. ``dropped`` counts by place since start, ``rates`` are per second."""
+
+    service: str
+    instance: int = 0
+    camera: str | None = None
+    boot: str
+    pid: int
+    phase: ServicePhase
+    cameras: tuple[str, ...] = ()
+    rates: dict[str, float] = {}
+    dropped: dict[str, int] = {}
+    numbers: dict[str, float] = {}
+    last_error: str | None = None
+    warnings: tuple[Warned, ...] = ()
+
+
+class Shares(Message):
+    """Which instance of detect and of label serves which camera (control shares them out, and keeps to it)."""
+
+    detect: dict[str, int]
+    label: dict[str, int]
+
+
+class RecordingState(Message):
+    """A recording as its label process sees it; ``waiting_for`` is the last reason for which no sample was taken."""
+
+    camera: str
+    ledger: Ledger
+    waiting_for: str | None = None

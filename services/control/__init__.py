@@ -1,0 +1,1 @@
+"""The tagmill control package."""
