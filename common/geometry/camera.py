@@ -17,7 +17,7 @@ from common.labels import CameraLabel
 Array = NDArray[np.float64]
 NEAR_MM = 1.0
 """Points nearer than this to the camera's plane, or behind it, have no projection."""
-MARGIN = 1.25
+MARGIN = 1.1
 """The distortion model is trusted to this multiple of the radius that the picture's corners need."""
 
 
@@ -59,8 +59,8 @@ class CameraModel:
 
         Returns pixels (N, 2), NaN for points behind the camera, and a mask (N,) of those in front.
         Beyond the radius for which the distortion model was fitted (``MARGIN`` times the picture's corners,
-        or where the radial polynomial turns back) the projection goes on in a straight line with the
-        model's slope there, so that a far-off corner is far off and never folds back into the picture.
+        or where the radial polynomial turns back) the scale found at that radius is kept, so that a far-off
+        corner is far off, never folds back into the picture and is not flung away by a high-order term.
         """
         xyz = np.asarray(points, dtype=np.float64).reshape(-1, 3)
         pixels = np.full((len(xyz), 2), np.nan)
@@ -98,10 +98,8 @@ class CameraModel:
             return self._distort(xy)
         scale = np.where(beyond, self._limit / np.maximum(radius, 1e-12), 1.0)[:, None]
         at_limit = self._distort(xy * scale)
-        step = 1e-3 * self._limit
-        inner = self._distort(xy * scale * (1 - step / self._limit))
-        slope = (at_limit - inner) / step
-        return np.where(beyond[:, None], at_limit + slope * (radius - self._limit)[:, None], at_limit)
+        centre = self.matrix[:2, 2]
+        return np.where(beyond[:, None], centre + (at_limit - centre) / scale, at_limit)
 
     def _distort(self, xy: Array) -> Array:
         xyz = np.column_stack([xy, np.ones(len(xy))]).reshape(-1, 1, 3)
