@@ -46,9 +46,7 @@ class Topic:
         return ("/".join((self.name, *parts)) + end).encode()
 
 
-FRAME = Topic(
-    "frame", ("camera",), FrameAnnounced, "capture", None, "latest", "a frame is in the camera's ring"
-)
+FRAME = Topic("frame", ("camera",), FrameAnnounced, "capture", None, "latest", "a frame is in the camera's ring")
 CAMERA = Topic("camera", ("camera",), CameraState, "capture", 1.0, "latest", "a camera describes itself")
 TRUTH = Topic("truth", ("camera",), Truth, "capture", None, "every", "ground truth of a synthetic frame")
 DETECTIONS = Topic(
@@ -60,18 +58,10 @@ DETECTIONS = Topic(
     "every",
     "what a named source saw in a frame",
 )
-LABELS = Topic(
-    "labels", ("camera",), Labels, "label", None, "every", "objects with pose, corners, window, distance"
-)
-PREVIEW = Topic(
-    "preview", ("camera",), Preview, "label", None, "latest", "an inpainted picture, while one watches"
-)
-RECORDING = Topic(
-    "recording", ("camera", "recording"), RecordingState, "label", 1.0, "latest", "a recording's account"
-)
-SERVICE = Topic(
-    "service", ("service",), ServiceState, "every service", 1.0, "latest", "heartbeat, rates, drops"
-)
+LABELS = Topic("labels", ("camera",), Labels, "label", None, "every", "objects with pose, corners, window, distance")
+PREVIEW = Topic("preview", ("camera",), Preview, "label", None, "latest", "an inpainted picture, while one watches")
+RECORDING = Topic("recording", ("camera", "recording"), RecordingState, "label", 1.0, "latest", "a recording's account")
+SERVICE = Topic("service", ("service",), ServiceState, "every service", 1.0, "latest", "heartbeat, rates, drops")
 SHARES = Topic("shares", (), Shares, "control", 1.0, "latest", "which instance serves which camera")
 
 TOPICS: tuple[Topic, ...] = (FRAME, CAMERA, TRUTH, DETECTIONS, LABELS, PREVIEW, RECORDING, SERVICE, SHARES)

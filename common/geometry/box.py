@@ -47,9 +47,7 @@ FACES: dict[FaceName, Face] = {
 }
 
 CORNER_NAMES: tuple[str, ...] = tuple(
-    f"{face}_{row}"
-    for face in ("front", "back")
-    for row in ("top_left", "top_right", "bottom_right", "bottom_left")
+    f"{face}_{row}" for face in ("front", "back") for row in ("top_left", "top_right", "bottom_right", "bottom_left")
 )
 _CORNER_SIGNS = np.array(
     [(x, y, z) for y in (-1, 1) for x, z in ((-1, 1), (1, 1), (1, -1), (-1, -1))], dtype=np.float64

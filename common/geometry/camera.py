@@ -43,9 +43,7 @@ class CameraModel:
     @classmethod
     def from_label(cls, label: CameraLabel) -> CameraModel:
         """From the form in which a camera describes itself."""
-        return cls(
-            label.width, label.height, np.array(label.matrix), np.array(label.distortion), model=label.model
-        )
+        return cls(label.width, label.height, np.array(label.matrix), np.array(label.distortion), model=label.model)
 
     @classmethod
     def guess(cls, width: int, height: int, field_of_view_deg: float = 65.0) -> CameraModel:
@@ -84,10 +82,7 @@ class CameraModel:
         uv = np.asarray(pixels, dtype=np.float64).reshape(-1, 2)
         with np.errstate(invalid="ignore"):
             inside: NDArray[np.bool_] = (
-                (uv[:, 0] >= -0.5)
-                & (uv[:, 0] < self.width - 0.5)
-                & (uv[:, 1] >= -0.5)
-                & (uv[:, 1] < self.height - 0.5)
+                (uv[:, 0] >= -0.5) & (uv[:, 0] < self.width - 0.5) & (uv[:, 1] >= -0.5) & (uv[:, 1] < self.height - 0.5)
             )
         return inside
 
@@ -114,9 +109,7 @@ class CameraModel:
         """Radius (x/z units) up to which the model is used as it stands."""
         if self.width < 1 or self.height < 1 or not self.distortion.any():
             return float("inf")
-        corners = np.array(
-            [[0, 0], [self.width, 0], [self.width, self.height], [0, self.height]], dtype=float
-        )
+        corners = np.array([[0, 0], [self.width, 0], [self.width, self.height], [0, self.height]], dtype=float)
         centred = (corners - self.matrix[:2, 2]) / np.diag(self.matrix)[:2]
         wanted = float(np.hypot(centred[:, 0], centred[:, 1]).max())
         radii = np.linspace(0.0, max(4.0 * wanted, 4.0), 4001)

@@ -1,0 +1,182 @@
+"""What was asked to be recorded: single requests (`record`) and recordings (`start`), and which frame they want."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, field
+
+from common.labels import Ledger, RecordingPhase, RecordingSpec
+from common.messages import Answer, ErrorInfo, FrameRef, RecordOrder
+from services.label.account import Account
+
+NOT_DUE = "not_due"
+NOT_ASKED = "not_asked"
+_REASONS = {
+    "no_object": "no configured object is in view; turn a side with a marker towards the camera",
+    "ambiguous_pose": "two poses fit equally well; turn the object by 5 degrees, show a second side or come nearer",
+    "object_in_view": "a background sample was asked for, but an object is in view; take it out of the picture",
+    "frame_gone": "that frame is no longer in the ring; ask for a newer one or leave `frame` out",
+    "frame_lost": "the frame was overwritten before it could be kept; the machine is too slow for this rate",
+    "backlog_full": "all sample slots wait for the disk; record slower or wait until the backlog is gone",
+    "store_down": "saving is stopped because the store doesn't answer; it is restarted by itself, try again",
+    "no_frame": "no picture came from the camera; see `tagmill status` for what is wrong with it",
+    "no_space": "shared memory is too small for another sample ring; free some of /dev/shm or lower ring.samples",
+}
+
+
+def explain(reason: str) -> str:
+    """One sentence for a reason code."""
+    return _REASONS.get(reason, reason.replace("_", " "))
+
+
+@dataclass(eq=False)
+class Request:
+    """A `record` order: up to ``count`` fitting frames before the deadline; one candidate at a time."""
+
+    order: RecordOrder
+    deadline_ns: int
+    account: Account = field(default_factory=Account)
+    samples: list[str] = field(default_factory=list)
+    last_reason: str = "no_frame"
+    last_message: str | None = None
+    next_due_ns: int = 0
+    answered: bool = False
+
+    @property
+    def camera(self) -> str:
+        """The camera it asks for."""
+        return self.order.camera
+
+    @property
+    def recording(self) -> str:
+        """The recording's id, given by whoever asked."""
+        return self.order.recording
+
+    @property
+    def background(self) -> bool:
+        """Whether pictures without an object are wanted."""
+        return self.order.background
+
+    @property
+    def done(self) -> bool:
+        """All samples are durable."""
+        return len(self.samples) >= self.order.count
+
+    @property
+    def over(self) -> bool:
+        """Nothing more can come of it."""
+        return self.answered and not self.account.pending
+
+    def wants(self, ref: FrameRef) -> str | None:
+        """None if this frame is wanted now, else why not."""
+        if self.answered or self.account.pending or self.done:
+            return NOT_ASKED
+        if self.order.frame is not None:
+            return None if ref.frame == self.order.frame else NOT_ASKED
+        if ref.captured_mono_ns < self.order.since_mono_ns:
+            return NOT_ASKED
+        return None if ref.captured_mono_ns >= self.next_due_ns else NOT_DUE
+
+    def refused(self, reason: str, message: str | None = None) -> None:
+        """A wanted frame did not fit."""
+        self.account.refuse(reason)
+        self.last_reason, self.last_message = reason, message
+
+    def taken(self, ref: FrameRef) -> None:
+        """A frame is on its way."""
+        self.next_due_ns = ref.captured_mono_ns + int(self.order.interval_s * 1e9)
+
+    def final(self) -> Answer:
+        """The answer as of now."""
+        self.answered = True
+        pending = tuple(sorted(self.account.pending))
+        if self.done:
+            return Answer(key=self.order.key, samples=tuple(self.samples))
+        if pending:
+            error = ErrorInfo(
+                code="timeout",
+                message=f"{len(pending)} sample(s) were not durable after {self.order.timeout_s:g} s; "
+                "they are kept and the ledger will settle them",
+            )
+        else:
+            error = ErrorInfo(code=self.last_reason, message=self.last_message or explain(self.last_reason))
+        return Answer(key=self.order.key, samples=tuple(self.samples), pending=pending, error=error)
+
+    def spec(self, started_at: str) -> RecordingSpec:
+        """As an entry of the ledger."""
+        return RecordingSpec(
+            recording=self.recording,
+            mode="record",
+            cameras=(self.camera,),
+            every_s=self.order.interval_s,
+            until_count=self.order.count,
+            background=self.order.background,
+            started_at=started_at,
+        )
+
+
+@dataclass(eq=False)
+class Recording:
+    """A recording on one camera between `start` and its end."""
+
+    spec: RecordingSpec
+    camera: str
+    account: Account = field(default_factory=Account)
+    phase: RecordingPhase = "running"
+    why: str | None = None
+    ended_at: str | None = None
+    waiting_for: str | None = None
+    next_due_ns: int = 0
+    ended_seen_ns: int | None = None
+    closing: bool = False
+
+    @property
+    def recording(self) -> str:
+        """Its id."""
+        return self.spec.recording
+
+    @property
+    def background(self) -> bool:
+        """Whether pictures without an object are wanted."""
+        return self.spec.background
+
+    def wants(self, ref: FrameRef) -> str | None:
+        """None if this frame is wanted, else why not."""
+        if self.phase != "running":
+            return NOT_ASKED
+        until = self.spec.until_count
+        if until is not None and self.account.recorded + len(self.account.pending) >= until:
+            return NOT_DUE
+        return None if ref.captured_mono_ns >= self.next_due_ns else NOT_DUE
+
+    def refused(self, reason: str, message: str | None = None) -> None:  # noqa: ARG002 - same shape as Request's
+        """A wanted frame did not fit."""
+        self.account.refuse(reason)
+        self.waiting_for = reason
+
+    def taken(self, ref: FrameRef) -> None:
+        """A frame is on its way. The next is due on the grid of ``every_s``, whatever this one's delay was."""
+        self.waiting_for = None
+        step = int(self.spec.every_s * 1e9)
+        if step:
+            late = ref.captured_mono_ns - self.next_due_ns
+            self.next_due_ns = ref.captured_mono_ns + step if late >= step else self.next_due_ns + step
+
+    @property
+    def full(self) -> bool:
+        """``until_count`` samples are durable."""
+        return self.spec.until_count is not None and self.account.recorded >= self.spec.until_count
+
+    def finish(self, why: str) -> None:
+        """Take no further frame; it ends when nothing is pending."""
+        if self.phase == "running":
+            self.phase, self.why = "finishing", why
+
+    def ledger(self) -> Ledger:
+        """This camera's part of the recording's ledger."""
+        return Ledger(
+            spec=self.spec,
+            phase=self.phase,
+            ended_at=self.ended_at,
+            why=self.why,
+            cameras={self.camera: self.account.ledger()},
+        )
