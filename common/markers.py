@@ -1,0 +1,168 @@
+"""Marker families: every dictionary that cv2 knows by name, and custom dictionaries from a file.
+
+Corners and bit patterns leave this module in the marker's *own* upright frame. cv2 keeps its AprilTag
+dictionaries turned by 180 degrees against the frame that AprilTag itself defines (and draws them upside
+down), hence ``Family.bitmap`` and ``Family.own_order``.
+"""
+
+from __future__ import annotations
+
+import difflib
+from collections.abc import Iterable
+from dataclasses import dataclass
+from functools import cached_property
+from pathlib import Path
+
+import cv2
+import numpy as np
+from numpy.typing import NDArray
+
+from common.errors import ConfigError
+
+Bitmap = NDArray[np.uint8]
+
+_PREFIX = "DICT_"
+_FILE_SUFFIXES = (".yml", ".yaml", ".xml", ".json")
+# AprilTag's own names; people who come from its library write these.
+_ALIASES = {
+    "tag16h5": "apriltag_16h5",
+    "tag25h9": "apriltag_25h9",
+    "tag36h10": "apriltag_36h10",
+    "tag36h11": "apriltag_36h11",
+}
+
+
+def _predefined() -> dict[str, int]:
+    """Lower-case name without ``DICT_`` to cv2's number, of all dictionaries that this cv2 has."""
+    return {
+        name.removeprefix(_PREFIX).lower(): int(getattr(cv2.aruco, name))
+        for name in dir(cv2.aruco)
+        if name.startswith(_PREFIX)
+    }
+
+
+@dataclass(frozen=True, eq=False)
+class Family:
+    """A set of markers.
+
+    ``name`` is the canonical name (``apriltag_36h11``, ``4x4_50``) or the file as it was given, ``ids`` how
+    many markers there are (ids 0 ... ids-1), ``bits`` the data bits along one side (without the black
+    border of one bit), ``apriltag`` whether cv2 keeps them turned by 180 degrees.
+    """
+
+    name: str
+    ids: int
+    bits: int
+    apriltag: bool
+    dictionary: cv2.aruco.Dictionary
+
+    @property
+    def cells(self) -> int:
+        """Bits along a side of the black square, its border included."""
+        return self.bits + 2
+
+    @property
+    def own_order(self) -> tuple[int, int, int, int]:
+        """Indices that turn cv2's corner order (TL TR BR BL of cv2's frame) into the marker's own."""
+        return (2, 3, 0, 1) if self.apriltag else (0, 1, 2, 3)
+
+    def bitmap(self, marker: int) -> Bitmap:
+        """The marker's cells (bits+2, bits+2), uint8, 0 black and 1 white, upright, row 0 = top.
+
+        The black border of one cell is included, the white margin around it isn't.
+        Raises ValueError for an id that the family doesn't have.
+        """
+        if not 0 <= marker < self.ids:
+            raise ValueError(f"{self.name} has the ids 0 to {self.ids - 1}, not {marker}")
+        drawn = cv2.aruco.generateImageMarker(self.dictionary, marker, self.cells, borderBits=1)
+        cells: Bitmap = (np.asarray(drawn, dtype=np.uint8).reshape(self.cells, self.cells) > 127).astype(np.uint8)
+        return np.ascontiguousarray(cells[::-1, ::-1]) if self.apriltag else cells
+
+    @cached_property
+    def distance(self) -> int:
+        """The least Hamming distance between two ids in any turn, and between one and its own turns."""
+        return _least_distance(self.dictionary)
+
+
+def family(name_or_path: str, folder: Path) -> Family:
+    """The family of this name, or of a dictionary file (path relative to ``folder``).
+
+    Names are cv2's predefined dictionaries in any case, with or without ``DICT_``; AprilTag's own names
+    (``tag36h11``) are understood too. A file is an OpenCV FileStorage file with ``nmarkers``,
+    ``markersize`` and ``marker_0`` ... as cv2 writes it. Raises ConfigError.
+    """
+    text = name_or_path.strip()
+    known = _predefined()
+    name = text.lower().removeprefix(_PREFIX.lower())
+    name = _ALIASES.get(name, name)
+    if name in known:
+        dictionary = cv2.aruco.getPredefinedDictionary(known[name])
+        return Family(name, len(dictionary.bytesList), dictionary.markerSize, name.startswith("apriltag_"), dictionary)
+    path = folder / text
+    if text and (Path(text).suffix.lower() in _FILE_SUFFIXES or "/" in text or path.is_file()):
+        dictionary = _read(path)
+        return Family(text, len(dictionary.bytesList), dictionary.markerSize, False, dictionary)
+    raise ConfigError(_unknown(text, name, (*known, *_ALIASES)))
+
+
+def names() -> tuple[str, ...]:
+    """The canonical names of all predefined families."""
+    return tuple(sorted(_predefined()))
+
+
+def _unknown(text: str, name: str, known: Iterable[str]) -> str:
+    near = difflib.get_close_matches(name, list(known), n=3, cutoff=0.5)
+    hint = f"did you mean {' or '.join(near)}?" if near else f"known are {', '.join(names())}."
+    return f"there is no marker family '{text}'; {hint} A custom dictionary is given by its file (.yml)."
+
+
+def _read(path: Path) -> cv2.aruco.Dictionary:
+    """A dictionary from a FileStorage file; raises ConfigError that says what is wrong with the file."""
+    if not path.is_file():
+        raise ConfigError(f"the marker dictionary file {path} does not exist")
+    dictionary = cv2.aruco.Dictionary()
+    try:
+        storage = cv2.FileStorage(str(path), cv2.FILE_STORAGE_READ)
+    except (cv2.error, SystemError) as error:
+        raise ConfigError(f"{path} is no OpenCV FileStorage file (such a YAML file begins with '%YAML:1.0')") from error
+    try:
+        whole = storage.isOpened() and dictionary.readDictionary(storage.root())
+        fault = "it needs nmarkers, markersize and marker_0 ... marker_<nmarkers-1>"
+    except (cv2.error, SystemError):
+        whole, fault = False, "each marker needs markersize x markersize characters 0 or 1"
+    finally:
+        storage.release()
+    if not whole or dictionary.bytesList is None or not len(dictionary.bytesList):
+        raise ConfigError(f"{path} is no marker dictionary: {fault}")
+    distance = _least_distance(dictionary)
+    if distance < 1:
+        raise ConfigError(
+            f"{path} is no usable marker dictionary: two of its markers are alike, or one is like itself turned"
+        )
+    if not dictionary.maxCorrectionBits:
+        # A file may leave it out; what can be corrected without doubt follows from the patterns.
+        dictionary.maxCorrectionBits = (distance - 1) // 2
+    return dictionary
+
+
+def _least_distance(dictionary: cv2.aruco.Dictionary) -> int:
+    size = dictionary.markerSize
+    turned = np.array(
+        [
+            [np.rot90(bits, turn).ravel() for turn in range(4)]
+            for bits in (
+                np.asarray(dictionary.getMarkerBits(marker)).reshape(size, size)
+                for marker in range(len(dictionary.bytesList))
+            )
+        ],
+        dtype=np.float32,
+    )
+    upright = turned[:, 0]
+    least = float(size * size)
+    for turn in range(4):
+        other = turned[:, turn]
+        distances = upright.sum(1)[:, None] + other.sum(1)[None, :] - 2 * upright @ other.T
+        if turn == 0:
+            np.fill_diagonal(distances, np.inf)
+        least = min(least, float(distances.min()))
+    return round(least)
