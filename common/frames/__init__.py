@@ -1,0 +1,20 @@
+"""Frames in shared memory: the ring of a camera, the ring of ordered samples. The only package that maps memory."""
+
+from common.frames.layout import Layout, Pictures
+from common.frames.reader import FrameReader, FrameView
+from common.frames.samples import SampleRing, SampleSlots
+from common.frames.segment import segment_name, shm_folder, sweep
+from common.frames.writer import FrameWriter
+
+__all__ = [
+    "FrameReader",
+    "FrameView",
+    "FrameWriter",
+    "Layout",
+    "Pictures",
+    "SampleRing",
+    "SampleSlots",
+    "segment_name",
+    "shm_folder",
+    "sweep",
+]
