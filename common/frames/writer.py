@@ -18,17 +18,18 @@ class FrameWriter:
 
     Frame n lies in slot n % slots. ``begin`` and ``end`` of its slot are n only while its pixels are whole;
     the slot that comes next is invalidated before n is announced, so a reader has the newest ``slots - 1``
-    frames. Raises NoSpaceError or NameTakenError. Use from one thread.
+    frames. Numbers begin at ``first``, so that a camera's second ring goes on where its first one ended.
+    Raises NoSpaceError or NameTakenError. Use from one thread.
     """
 
-    def __init__(self, name: str, width: int, height: int, has_depth: bool, slots: int) -> None:
+    def __init__(self, name: str, width: int, height: int, has_depth: bool, slots: int, *, first: int = 1) -> None:
         self.layout = Layout("frames", width, height, slots, has_depth)
         self._segment = Segment.create(name, self.layout.size)
         buffer = self._segment.buffer
         self._begin, self._end = self.layout.control(buffer)
         self._header = header(buffer)
         self._slots = [self.layout.pictures(buffer, slot) for slot in range(slots)]
-        self._newest = 0
+        self._next = first
         self.layout.write_header(buffer)
 
     @property
@@ -38,17 +39,17 @@ class FrameWriter:
 
     @property
     def newest(self) -> int:
-        """The number of the newest whole frame, 0 before the first."""
-        return self._newest
+        """The number of the newest whole frame (``first`` - 1 before any)."""
+        return self._next - 1
 
     def write(self, bgr: Colour | None, depth: Depth | None = None, fill: Fill | None = None) -> int:
-        """Put a frame into the ring; returns its number (from 1).
+        """Put a frame into the ring; returns its number.
 
         ``bgr`` (H, W, 3) uint8 and ``depth`` (H, W) uint16 are copied; a missing depth is written as 0 (invalid).
         With ``fill`` the pictures are made in place instead: it gets the slot's arrays and must set every
         pixel. Raises ValueError for a wrong shape, dtype or a depth that the ring has no room for.
         """
-        number = self._newest + 1
+        number = self._next
         slot = number % self.layout.slots
         if fill is None:
             self._check(bgr, depth)
@@ -69,7 +70,7 @@ class FrameWriter:
         self._end[slot] = number
         self._begin[(number + 1) % self.layout.slots] = 0
         self._header[NEWEST] = number
-        self._newest = number
+        self._next = number + 1
         return number
 
     def close(self) -> None:

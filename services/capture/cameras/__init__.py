@@ -1,0 +1,1 @@
+"""Camera drivers, reached through the registry only."""
