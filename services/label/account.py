@@ -77,6 +77,18 @@ class Account:
         """Whether the camera's last frame has been accounted for."""
         return self._boot == state.boot and self._last >= state.captured
 
+    @property
+    def started(self) -> bool:
+        """Whether a frame has been accounted for."""
+        return bool(self._boot)
+
+    def looked_at(self, source: str, *, counted: bool) -> None:
+        """A frame was labelled. One that isn't ``counted`` (a preview, or one from the past) counts by this."""
+        if not counted:
+            self.captured += 1
+        self.labelled += 1
+        self.detected[source] += 1
+
     def refuse(self, reason: str) -> None:
         """A frame was looked at and not recorded."""
         self.refused[reason] += 1

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from dataclasses import dataclass, field
 
+from common import clock
 from common.labels import Ledger, RecordingPhase, RecordingSpec
 from common.messages import Answer, ErrorInfo, FrameRef, RecordOrder
 from services.label.account import Account
@@ -34,12 +35,19 @@ class Request:
 
     order: RecordOrder
     deadline_ns: int
+    started_at: str
     account: Account = field(default_factory=Account)
     samples: list[str] = field(default_factory=list)
     last_reason: str = "no_frame"
     last_message: str | None = None
     next_due_ns: int = 0
     answered: bool = False
+
+    @classmethod
+    def of(cls, order: RecordOrder) -> Request:
+        """A new request; its time runs from when the order was given."""
+        begin = order.since_mono_ns or clock.monotonic_ns()
+        return cls(order, begin + int(order.timeout_s * 1e9), clock.iso_utc(clock.wall_ns()))
 
     @property
     def camera(self) -> str:
@@ -80,6 +88,30 @@ class Request:
         """A wanted frame did not fit."""
         self.account.refuse(reason)
         self.last_reason, self.last_message = reason, message
+        if self.order.frame is not None:
+            self.deadline_ns = 0
+
+    def refused_late(self, reason: str, message: str) -> None:
+        """Nothing more is looked at; the reason goes into the answer."""
+        self.last_reason, self.last_message = reason, message
+        self.deadline_ns = 0
+
+    def lost(self) -> None:
+        """A wanted frame was overwritten before it could be kept."""
+        self.account.drop("label")
+        self.last_reason, self.last_message = "frame_lost", None
+
+    def stored(self, sample: str) -> None:
+        """A sample is durable."""
+        self.account.stored(sample)
+        self.samples.append(sample)
+
+    def failed(self, sample: str, reason: str, message: str | None) -> None:
+        """A sample was refused on its way."""
+        self.account.failed(sample, reason)
+        self.last_reason, self.last_message = reason, message
+        if self.order.frame is not None:
+            self.deadline_ns = 0
 
     def taken(self, ref: FrameRef) -> None:
         """A frame is on its way."""
@@ -101,7 +133,7 @@ class Request:
             error = ErrorInfo(code=self.last_reason, message=self.last_message or explain(self.last_reason))
         return Answer(key=self.order.key, samples=tuple(self.samples), pending=pending, error=error)
 
-    def spec(self, started_at: str) -> RecordingSpec:
+    def spec(self) -> RecordingSpec:
         """As an entry of the ledger."""
         return RecordingSpec(
             recording=self.recording,
@@ -110,7 +142,7 @@ class Request:
             every_s=self.order.interval_s,
             until_count=self.order.count,
             background=self.order.background,
-            started_at=started_at,
+            started_at=self.started_at,
         )
 
 
@@ -127,7 +159,6 @@ class Recording:
     waiting_for: str | None = None
     next_due_ns: int = 0
     ended_seen_ns: int | None = None
-    closing: bool = False
 
     @property
     def recording(self) -> str:
@@ -151,6 +182,19 @@ class Recording:
     def refused(self, reason: str, message: str | None = None) -> None:  # noqa: ARG002 - same shape as Request's
         """A wanted frame did not fit."""
         self.account.refuse(reason)
+        self.waiting_for = reason
+
+    def lost(self) -> None:
+        """A wanted frame was overwritten before it could be kept."""
+        self.account.drop("label")
+
+    def stored(self, sample: str) -> None:
+        """A sample is durable."""
+        self.account.stored(sample)
+
+    def failed(self, sample: str, reason: str, message: str | None) -> None:  # noqa: ARG002 - as Request's
+        """A sample was refused on its way."""
+        self.account.failed(sample, reason)
         self.waiting_for = reason
 
     def taken(self, ref: FrameRef) -> None:

@@ -1,0 +1,9 @@
+"""``python -m services.label --rig F [--instance N]``."""
+
+import sys
+
+from common.service import main
+from services.label.service import LabelService
+
+if __name__ == "__main__":
+    sys.exit(main(LabelService, "label"))

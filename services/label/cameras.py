@@ -1,0 +1,79 @@
+"""The cameras that this label process serves: their state, their ring, the frames that wait to be labelled."""
+
+from __future__ import annotations
+
+from collections import OrderedDict, deque
+from collections.abc import Iterator
+from contextlib import contextmanager
+
+from common import clock
+from common.errors import FrameLostError
+from common.frames import FrameReader, FrameView
+from common.geometry import CameraModel
+from common.labels import SourceDetections
+from common.messages import MARKERS, CameraState, Detections, FrameRef
+
+_MARGIN = 3
+"""Slots of the ring that are about to be overwritten count as gone."""
+_REMEMBERED = 16
+
+
+class Camera:
+    """One camera as label sees it."""
+
+    def __init__(self, state: CameraState, slots: int) -> None:
+        self.name = state.camera.name
+        self.state = state
+        self.model = CameraModel.from_label(state.camera)
+        self.waiting: deque[Detections] = deque()
+        self.recent: deque[Detections] = deque(maxlen=slots)
+        self.newest = 0
+        self.last_frame_ns = 0
+        self._slots = slots
+        self._reader: FrameReader | None = None
+        self._others: OrderedDict[tuple[str, int], dict[str, SourceDetections]] = OrderedDict()
+
+    def update(self, state: CameraState) -> None:
+        """Take over what the camera says of itself."""
+        if state.camera != self.state.camera:
+            self.model = CameraModel.from_label(state.camera)
+        self.state = state
+
+    def arrived(self, detections: Detections) -> None:
+        """Queue the markers of a frame; keep another source's detections for the label of the same frame."""
+        ref = detections.ref
+        if detections.source == MARKERS:
+            self.waiting.append(detections)
+            self.newest = ref.frame
+            self.last_frame_ns = clock.monotonic_ns()
+            return
+        known = self._others.setdefault((ref.boot, ref.frame), {})
+        known[detections.source] = SourceDetections(source=detections.source, windows=detections.windows)
+        while len(self._others) > _REMEMBERED:
+            self._others.popitem(last=False)
+
+    def others(self, ref: FrameRef) -> tuple[SourceDetections, ...]:
+        """What other sources have said so far of this frame."""
+        return tuple(self._others.get((ref.boot, ref.frame), {}).values())
+
+    def alive(self, ref: FrameRef) -> bool:
+        """Whether the frame is still safely in the ring, as far as the newest announcement tells."""
+        return self.newest - ref.frame < self._slots - _MARGIN
+
+    @contextmanager
+    def pixels(self, ref: FrameRef) -> Iterator[FrameView]:
+        """The frame's pixels in the ring; FrameLostError if it was overwritten meanwhile or its ring is gone."""
+        if self._reader is None or self._reader.name != ref.ring:
+            self.close()
+            try:
+                self._reader = FrameReader(ref.ring)
+            except FileNotFoundError as error:
+                raise FrameLostError(f"the ring {ref.ring} of {self.name} is gone") from error
+        with self._reader.view(ref.frame) as view:
+            yield view
+
+    def close(self) -> None:
+        """Unmap the ring."""
+        if self._reader is not None:
+            self._reader.close()
+            self._reader = None

@@ -1,0 +1,171 @@
+"""The last steps for a frame that is kept: exact corners, poses, erasing. Runs in a worker process, niced.
+
+The worker gets a job by value and the pixels by the slot of a sample ring, in which it erases in place.
+"""
+
+from __future__ import annotations
+
+import ctypes
+import os
+import signal
+from collections.abc import Iterable
+from concurrent.futures import Future, ProcessPoolExecutor
+from concurrent.futures.process import BrokenProcessPool
+from dataclasses import dataclass
+from multiprocessing import get_context
+from pathlib import Path
+
+import cv2
+from common.log import get
+
+from common.config import Rig, load_rig
+from common.frames import SampleSlots
+from common.geometry import CameraModel, Pose
+from common.labels import CameraLabel, Erased, LeftOut, ObjectLabel
+from common.messages import DetectedMarker
+from services.label.inpaint import erase, regions
+from services.label.labelling import Labeller
+
+_NICE = 10
+_PR_SET_PDEATHSIG = 1
+_RETRIES = 3
+
+
+@dataclass(frozen=True)
+class Job:
+    """A frame to finish; its pixels lie in ``slot`` of the sample ring ``ring``."""
+
+    key: str
+    ring: str
+    slot: int
+    camera: CameraLabel
+    markers: tuple[DetectedMarker, ...]
+    previous: dict[str, Pose]
+    mono_ns: int
+
+
+@dataclass(frozen=True)
+class Finished:
+    """What became of a job: the exact labels, what was erased, and whether an ambiguous pose is to be kept."""
+
+    objects: tuple[ObjectLabel, ...]
+    left_out: tuple[LeftOut, ...]
+    inpainted: Erased
+    keep_ambiguous: bool
+
+
+class Finisher:
+    """A pool of worker processes; one that dies is replaced and its jobs are done again."""
+
+    def __init__(self, rig_path: Path, workers: int = 1) -> None:
+        self._rig_path = rig_path
+        self._workers = workers
+        self._running: dict[str, tuple[Job, Future[Finished], int]] = {}
+        self._pool = self._new_pool()
+        self.restarts = 0
+
+    def _new_pool(self) -> ProcessPoolExecutor:
+        return ProcessPoolExecutor(
+            self._workers, get_context("spawn"), initializer=_prepare, initargs=(self._rig_path, os.getpid())
+        )
+
+    def warm_up(self) -> None:
+        """Start the workers now, so that the first record doesn't wait for an interpreter to start."""
+        for _ in range(self._workers):
+            self._pool.submit(os.getpid)
+
+    @property
+    def busy(self) -> int:
+        """Jobs that are not finished."""
+        return len(self._running)
+
+    def submit(self, job: Job, attempt: int = 1) -> None:
+        """Begin a job."""
+        try:
+            future = self._pool.submit(_finish, job)
+        except BrokenProcessPool:
+            self._replace_pool()
+            future = self._pool.submit(_finish, job)
+        self._running[job.key] = (job, future, attempt)
+
+    def finished(self) -> Iterable[tuple[Job, Finished | None]]:
+        """Jobs that ended since the last call; None where the job failed (the reason is in the log)."""
+        for key, (job, future, attempt) in list(self._running.items()):
+            if not future.done():
+                continue
+            del self._running[key]
+            try:
+                yield job, future.result()
+            except BrokenProcessPool:
+                self._replace_pool()
+                if attempt < _RETRIES:
+                    self.submit(job, attempt + 1)
+                else:
+                    get().error("finish.failed", sample=key, reason=f"its worker died {attempt} times")
+                    yield job, None
+            except Exception:  # noqa: BLE001 - a bug in one frame is logged and costs that frame, not the service
+                get().exception("finish.failed", sample=key)
+                yield job, None
+
+    def _replace_pool(self) -> None:
+        if getattr(self._pool, "_broken", False):
+            self.restarts += 1
+            get().warning("finish.worker_died", restarts=self.restarts)
+            self._pool.shutdown(wait=False, cancel_futures=True)
+            self._pool = self._new_pool()
+
+    def reload(self) -> None:
+        """Read the rig file again; jobs under way end with the old one."""
+        self._pool.shutdown(wait=True)
+        self._pool = self._new_pool()
+
+    def close(self) -> None:
+        """End the workers; jobs that have not begun are dropped."""
+        self._pool.shutdown(wait=True, cancel_futures=True)
+
+
+class _Worker:
+    """State of a worker process: the labeller and the rings it has mapped."""
+
+    def __init__(self, rig: Rig) -> None:
+        self.rig = rig
+        self.labeller = Labeller.of(rig)
+        self.rings: dict[str, SampleSlots] = {}
+
+    def slots(self, ring: str) -> SampleSlots:
+        if ring not in self.rings:
+            self.rings[ring] = SampleSlots(ring)
+            while len(self.rings) > 16:
+                self.rings.pop(next(iter(self.rings))).close()
+        return self.rings[ring]
+
+
+_worker: _Worker | None = None
+
+
+def _prepare(rig_path: Path, parent: int) -> None:
+    """Make this process a worker: low priority, one thread, gone with its parent, deaf to Ctrl-C."""
+    global _worker
+    ctypes.CDLL(None, use_errno=True).prctl(_PR_SET_PDEATHSIG, signal.SIGKILL)
+    if os.getppid() != parent:
+        os._exit(1)
+    signal.signal(signal.SIGINT, signal.SIG_IGN)
+    signal.signal(signal.SIGTERM, signal.SIG_IGN)
+    os.nice(_NICE)
+    cv2.setNumThreads(1)
+    _worker = _Worker(load_rig(rig_path))
+
+
+def _finish(job: Job) -> Finished:
+    assert _worker is not None
+    options = _worker.rig.config.inpaint
+    camera = CameraModel.from_label(job.camera)
+    bgr = _worker.slots(job.ring).view(job.slot).bgr
+    labelled = _worker.labeller.label_once(job.markers, camera, bgr, previous=job.previous)
+    polygons = regions(
+        labelled.objects, job.markers, _worker.labeller.boxes, camera, margin=options.margin, left_out=labelled.left_out
+    )
+    erase(bgr, polygons, method=options.method, radius_px=options.radius_px)
+    erased = Erased(method=options.method, margin=f"{options.margin:g} of the marker, at least 3 px", polygons=polygons)
+    keep = _worker.rig.config.pose.ambiguous == "keep"
+    return Finished(labelled.objects, labelled.left_out, erased, keep)

@@ -1,0 +1,232 @@
+"""Decides what is recorded: requests and recordings meet labelled frames and the outcomes of samples."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterator
+
+from common.log import get
+
+from common import clock
+from common.errors import FrameLostError, RefusedError
+from common.labels import CameraLedger
+from common.messages import (
+    Answer,
+    CameraState,
+    Detections,
+    LedgerOrder,
+    RecordingState,
+    RecordOrder,
+    StartOrder,
+)
+from services.label.account import Account
+from services.label.auto import Views
+from services.label.labelling import Labelled
+from services.label.ledgers import Ledgers
+from services.label.requests import Recording, Request, explain
+from services.label.samples import Outcome, Taker
+
+_END_GRACE_NS = 2_000_000_000
+_REMEMBER_ENDED_NS = 10_000_000_000
+
+Begin = Callable[[Detections, list[Taker]], str]
+"""Starts a sample and returns its name; raises FrameLostError or RefusedError."""
+
+
+class Recorder:
+    """All requests and recordings of the cameras of one label process."""
+
+    def __init__(self, reply: Callable[[Answer], None]) -> None:
+        self._reply = reply
+        self._ledgers = Ledgers()
+        self._views: dict[Recording, Views] = {}
+        self._stops: dict[Recording, list[str]] = {}
+        self._ended_ns: dict[Recording, int] = {}
+        self.requests: list[Request] = []
+        self.recordings: dict[tuple[str, str], Recording] = {}
+
+    # --- orders ---------------------------------------------------------------------------------------
+
+    def record(self, order: RecordOrder) -> Request:
+        """Take on a single request; its answer comes when all its samples are durable, or at its deadline."""
+        known = next((item for item in self.requests if item.order.key == order.key), None)
+        if known is None:
+            known = Request.of(order)
+            self.requests.append(known)
+        return known
+
+    def start(self, order: StartOrder, resumed: CameraLedger | None = None) -> None:
+        """Begin a recording on one camera; one that is known already goes on as it is."""
+        key = (order.spec.recording, order.camera)
+        if key in self.recordings:
+            return
+        recording = Recording(order.spec, order.camera, Account(resumed))
+        self.recordings[key] = recording
+        self._views[recording] = Views()
+        get().info("recording.started", recording=key[0], camera=key[1], resumed=resumed is not None)
+
+    def stop(self, recording: str, camera: str, order_key: str) -> bool:
+        """End a recording; the answer follows when it is settled. False if it isn't known here."""
+        item = self.recordings.get((recording, camera))
+        if item is None:
+            return False
+        item.finish("stopped")
+        self._stops.setdefault(item, []).append(order_key)
+        if item.phase == "ended":
+            self._answer_stops(item)
+        return True
+
+    # --- frames ---------------------------------------------------------------------------------------
+
+    def needs_every_frame(self, camera: str) -> bool:
+        """Whether a running recording on this camera counts its frames."""
+        return any(item.camera == camera and item.phase == "running" for item in self.recordings.values())
+
+    def active(self, camera: str) -> bool:
+        """Whether anybody waits for frames of this camera."""
+        return any(True for _ in self._open(camera))
+
+    def _open(self, camera: str) -> Iterator[Taker]:
+        yield from (item for item in self.requests if item.camera == camera and not item.answered)
+        yield from (item for item in self.recordings.values() if item.camera == camera and item.phase == "running")
+
+    def dropped(self, detections: Detections) -> None:
+        """A frame whose detections came was passed over by label."""
+        for taker in self._open(detections.ref.camera):
+            if taker.account.arrived(detections.ref):
+                taker.account.drop("label")
+
+    def frame(self, detections: Detections, labelled: Labelled, begin: Begin) -> None:
+        """A labelled frame: account for it, and begin a sample if somebody wants it."""
+        wanting: list[Taker] = []
+        for taker in self._open(detections.ref.camera):
+            counted = taker.account.arrived(detections.ref)
+            if not counted and isinstance(taker, Recording):
+                continue
+            why = taker.wants(detections.ref) or self._not_worth(taker, labelled)
+            if counted or why is None:
+                taker.account.looked_at(detections.source, counted=counted)
+            if why is None:
+                wanting.append(taker)
+            elif counted:
+                taker.account.refuse(why)
+        for background in (False, True):
+            group = [taker for taker in wanting if taker.background is background]
+            if group:
+                self._try(detections, labelled, group, begin)
+
+    def _try(self, detections: Detections, labelled: Labelled, takers: list[Taker], begin: Begin) -> None:
+        background = takers[0].background
+        try:
+            if background and labelled.objects:
+                raise RefusedError(explain("object_in_view"), code="object_in_view")
+            if not background and not labelled.objects:
+                raise RefusedError(_no_object(labelled), code="no_object")
+            name = begin(detections, takers)
+        except FrameLostError:
+            for taker in takers:
+                taker.lost()
+        except RefusedError as error:
+            for taker in takers:
+                taker.refused(error.code, error.message)
+        else:
+            for taker in takers:
+                taker.account.ordered(name)
+                taker.taken(detections.ref)
+
+    def _not_worth(self, taker: Taker, labelled: Labelled) -> str | None:
+        if isinstance(taker, Request) or taker.spec.mode != "auto" or not labelled.objects:
+            return None
+        return self._views[taker].judge(labelled.objects)
+
+    def outcome(self, outcome: Outcome) -> None:
+        """A sample is durable, or was refused on its way."""
+        name, reason = outcome.sample.name, outcome.reason
+        for taker in outcome.sample.takers:
+            if reason is None:
+                taker.stored(name)
+                if isinstance(taker, Recording) and taker in self._views:
+                    self._views[taker].take(outcome.sample.objects)
+            else:
+                taker.failed(name, reason, outcome.message)
+        if reason is not None:
+            get().info("sample.refused", sample=name, reason=reason, message=outcome.message)
+
+    # --- time -----------------------------------------------------------------------------------------
+
+    def tick(self, cameras: dict[str, CameraState]) -> None:
+        """Deadlines of requests, ends of cameras and of recordings."""
+        now = clock.monotonic_ns()
+        for request in self.requests:
+            if not request.answered and (request.done or now >= request.deadline_ns):
+                self._reply(request.final())
+        for recording in self.recordings.values():
+            if recording.phase != "running":
+                continue
+            state = cameras.get(recording.camera)
+            if state is not None:
+                _watch_end(recording, state, now)
+            if recording.full:
+                recording.finish(f"{recording.spec.until_count} samples are recorded")
+        for item in [item for item, ended in self._ended_ns.items() if now - ended > _REMEMBER_ENDED_NS]:
+            del self._ended_ns[item]
+            self._views.pop(item, None)
+            self.recordings.pop((item.recording, item.camera), None)
+
+    def finish_all(self, why: str) -> None:
+        """Finish every recording and answer every request (the service is going down)."""
+        for recording in self.recordings.values():
+            recording.finish(why)
+        for request in self.requests:
+            if not request.answered:
+                request.refused_late("stopping", f"tagmill is going down: {why}")
+                self._reply(request.final())
+
+    @property
+    def settled(self) -> bool:
+        """Nothing is under way."""
+        return not self.requests and all(item.phase == "ended" for item in self.recordings.values())
+
+    # --- ledgers --------------------------------------------------------------------------------------
+
+    def ledger_orders(self) -> Iterator[LedgerOrder]:
+        """Accounts that the store doesn't know yet; a request's single entry goes when it is over."""
+        yield from self._ledgers.due(self.recordings.values())
+        for request in [item for item in self.requests if item.over]:
+            self.requests.remove(request)
+            yield self._ledgers.of_request(request)
+
+    def ledger_answered(self, answer: Answer) -> None:
+        """The store has (or refuses) an account; the last one ends its recording."""
+        ended = self._ledgers.answered(answer)
+        if ended is not None:
+            self._ended_ns[ended] = clock.monotonic_ns()
+            get().info("recording.ended", recording=ended.recording, camera=ended.camera, why=ended.why)
+            self._answer_stops(ended)
+
+    def _answer_stops(self, item: Recording) -> None:
+        for order_key in self._stops.pop(item, []):
+            self._reply(Answer(key=order_key, ledgers=(item.ledger(),)))
+
+    def states(self) -> Iterator[RecordingState]:
+        """What the bus is told of the recordings."""
+        for item in self.recordings.values():
+            yield RecordingState(camera=item.camera, ledger=item.ledger(), waiting_for=item.waiting_for)
+
+
+def _watch_end(recording: Recording, state: CameraState, now: int) -> None:
+    """A camera that played for this recording (or while it ran) is at its end: settle, then finish."""
+    ours = state.played_for == recording.recording or recording.account.started
+    if state.phase != "ended" or not ours:
+        recording.ended_seen_ns = None
+        return
+    if recording.ended_seen_ns is None:
+        recording.ended_seen_ns = now
+    if recording.account.reached(state) or now - recording.ended_seen_ns > _END_GRACE_NS:
+        recording.account.camera_ended(state, recording.recording)
+        recording.finish("the camera is at its end")
+
+
+def _no_object(labelled: Labelled) -> str:
+    """The refusal, with the markers that were seen and why they gave no object."""
+    seen = [f"{item.marker} ({item.reason})" for item in labelled.left_out if item.reason != "not_detected"]
+    return explain("no_object") + (f"; markers seen: {', '.join(seen[:8])}" if seen else "")

@@ -1,0 +1,216 @@
+"""Samples on their way: sample ring → worker (exact labels, erasing) → store → durable.
+
+A sample holds its slot from the moment its pixels are copied until the store has answered, so the number of
+slots is the number of samples that may wait. Nothing leaves this table without an outcome.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Iterator
+from dataclasses import dataclass
+
+import cv2
+import numpy as np
+
+from common import VERSION, clock, ids
+from common.bus import OrderClient
+from common.errors import NoSpaceError, RefusedError
+from common.frames import FrameView, SampleRing, segment_name
+from common.geometry import Pose
+from common.labels import CameraLabel, DepthLabel, Label, ObjectLabel, SourceDetections
+from common.messages import Answer, Detections, FrameRef, StoreOrder
+from services.label.cameras import Camera
+from services.label.finish import Finished, Finisher, Job
+from services.label.requests import Recording, Request, explain
+
+Taker = Request | Recording
+
+
+@dataclass(eq=False)
+class Sample:
+    """A sample that isn't durable yet, and who asked for it."""
+
+    name: str
+    ref: FrameRef
+    ring: SampleRing
+    slot: int
+    takers: list[Taker]
+    camera: CameraLabel
+    depth_unit_mm: float | None
+    others: tuple[SourceDetections, ...]
+    objects: tuple[ObjectLabel, ...] = ()
+
+    @property
+    def recording(self) -> str:
+        """The recording it belongs to: a started one before a single request."""
+        first = next((taker for taker in self.takers if isinstance(taker, Recording)), self.takers[0])
+        return first.recording
+
+
+@dataclass(frozen=True)
+class Outcome:
+    """What became of a sample: stored (``reason`` None), or refused with a reason and a sentence."""
+
+    sample: Sample
+    reason: str | None = None
+    message: str | None = None
+
+
+class Samples:
+    """The table of samples under way, and the sample rings (one a camera and picture size)."""
+
+    def __init__(self, prefix: str, owner: str, boot: str, slots: int, *, keep_original: bool) -> None:
+        self._prefix, self._owner, self._boot = prefix, owner, boot
+        self._slots = slots
+        self._keep_original = keep_original
+        self._rings: dict[str, SampleRing] = {}
+        self._rings_made = 0
+        self.under_way: dict[str, Sample] = {}
+
+    def room(self, camera: str) -> bool:
+        """Whether a slot is free for this camera (or its ring isn't made yet)."""
+        ring = self._rings.get(camera)
+        return ring is None or ring.free > 0
+
+    def begin(
+        self, camera: Camera, detections: Detections, previous: dict[str, Pose], takers: list[Taker], finisher: Finisher
+    ) -> Sample:
+        """Copy the frame into a slot and give it to a worker.
+
+        Raises FrameLostError if the frame was overwritten meanwhile, and RefusedError: ``backlog_full``
+        without a free slot, ``no_space`` if shared memory has no room for a sample ring.
+        """
+        ref = detections.ref
+        name = ids.sample_name(ref.captured_wall_ns, ref.camera, ref.frame)
+        if name in self.under_way:
+            raise RefusedError(explain("not_due"), code="not_due")
+        ring, slot = self._keep_pixels(camera, ref)
+        state = camera.state
+        sample = Sample(name, ref, ring, slot, takers, state.camera, state.depth_unit_mm, camera.others(ref))
+        self.under_way[name] = sample
+        finisher.submit(Job(name, ring.name, slot, state.camera, detections.markers, previous, ref.captured_mono_ns))
+        return sample
+
+    def _keep_pixels(self, camera: Camera, ref: FrameRef) -> tuple[SampleRing, int]:
+        held: tuple[SampleRing, int] | None = None
+        try:
+            with camera.pixels(ref) as view:
+                held = self._slot_for(camera.name, view)
+                self._copy(view, *held)
+        except BaseException:
+            if held is not None:
+                held[0].release(held[1])
+            raise
+        return held
+
+    def _slot_for(self, camera: str, view: FrameView) -> tuple[SampleRing, int]:
+        """A slot in the camera's sample ring, which is made at the first sample and anew for another size."""
+        height, width = view.bgr.shape[:2]
+        has_depth = view.depth is not None
+        ring = self._rings.get(camera)
+        if ring is not None and (ring.width, ring.height, ring.has_depth) != (width, height, has_depth):
+            if ring.free < self._slots:
+                raise RefusedError(explain("backlog_full"), code="backlog_full")
+            self._rings.pop(camera).close()
+            ring = None
+        if ring is None:
+            self._rings_made += 1
+            name = segment_name(self._prefix, f"{self._owner}.{camera}.{self._rings_made}", self._boot)
+            try:
+                ring = SampleRing(name, width, height, has_depth, self._slots, with_original=self._keep_original)
+            except NoSpaceError as error:
+                raise RefusedError(error.message, code="no_space") from error
+            self._rings[camera] = ring
+        slot = ring.acquire()
+        if slot is None:
+            raise RefusedError(explain("backlog_full"), code="backlog_full")
+        return ring, slot
+
+    @staticmethod
+    def _copy(view: FrameView, ring: SampleRing, slot: int) -> None:
+        kept = ring.view(slot)
+        np.copyto(kept.bgr, view.bgr)
+        if kept.depth is not None and view.depth is not None:
+            np.copyto(kept.depth, view.depth)
+        if kept.original is not None:
+            np.copyto(kept.original, view.bgr)
+
+    def finished(
+        self, jobs: Iterable[tuple[Job, Finished | None]], session: str, store: OrderClient
+    ) -> Iterator[Outcome]:
+        """Send what the workers have finished to the store; yields those that are refused instead."""
+        for job, result in jobs:
+            sample = self.under_way.get(job.key)
+            if sample is None:
+                continue
+            reason = "failed" if result is None else self._verdict(sample, result)
+            if result is None or reason is not None:
+                yield self._end(sample, reason, None)
+                continue
+            sample.objects = result.objects
+            order = StoreOrder(
+                key=sample.name,
+                recording=sample.recording,
+                camera=sample.ref.camera,
+                ring=sample.ring.name,
+                slot=sample.slot,
+                label=_label(sample, result, session),
+            )
+            try:
+                store.send(order)
+            except RefusedError as error:
+                yield self._end(sample, error.code, error.message)
+
+    @staticmethod
+    def _verdict(sample: Sample, result: Finished) -> str | None:
+        """Why the exact labels forbid the sample, None if they are good."""
+        if sample.takers[0].background:
+            return "object_in_view" if result.objects else None
+        if not result.objects:
+            return "no_object"
+        if any(item.quality.ambiguous for item in result.objects) and not result.keep_ambiguous:
+            return "ambiguous_pose"
+        return None
+
+    def answered(self, answer: Answer) -> Outcome | None:
+        """The store's answer to a sample's order; None if the answer is to something else."""
+        sample = self.under_way.get(answer.key)
+        if sample is None:
+            return None
+        error = answer.error
+        return self._end(sample, error.code if error else None, error.message if error else None)
+
+    def _end(self, sample: Sample, reason: str | None, message: str | None) -> Outcome:
+        del self.under_way[sample.name]
+        sample.ring.release(sample.slot)
+        return Outcome(sample, reason, message)
+
+    def close(self) -> None:
+        """Remove the sample rings."""
+        for ring in self._rings.values():
+            ring.close()
+        self._rings.clear()
+
+
+def _label(sample: Sample, result: Finished, session: str) -> Label:
+    ref = sample.ref
+    return Label(
+        sample=sample.name,
+        session=session,
+        recording=sample.recording,
+        camera=sample.camera,
+        frame=ref.frame,
+        boot=ref.boot,
+        source_name=ref.source_name,
+        captured_at=clock.iso_utc(ref.captured_wall_ns),
+        captured_wall_ns=ref.captured_wall_ns,
+        captured_mono_ns=ref.captured_mono_ns,
+        device_ns=ref.device_ns,
+        depth=None if sample.depth_unit_mm is None else DepthLabel(unit_mm=sample.depth_unit_mm),
+        background=sample.takers[0].background,
+        objects=result.objects,
+        left_out=result.left_out,
+        detections=sample.others,
+        inpainted=result.inpainted,
+        versions={"tagmill": VERSION, "opencv": str(cv2.__version__)},
+    )

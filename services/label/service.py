@@ -1,0 +1,312 @@
+"""The label process: from markers to objects, and from wanted frames to samples.
+
+Consumes  DETECTIONS (every), CAMERA, SHARES, SERVICE (the store's); orders from control.
+Produces  LABELS for every frame, RECORDING states, PREVIEW while watched; orders to the store.
+States    running; faulty while the store can't be reached although something waits for it.
+"""
+
+from __future__ import annotations
+
+import os
+import time
+
+from common.service.meters import Percentiles, Rate, Tally
+
+from common import clock
+from common.bus import OrderClient, OrderServer, Poller, Publisher, Return, Subscriber
+from common.config import load_rig
+from common.errors import RefusedError
+from common.messages import (
+    Answer,
+    CameraState,
+    Detections,
+    ErrorInfo,
+    Labels,
+    LedgerQuery,
+    Order,
+    PreviewOrder,
+    RecordOrder,
+    ReloadOrder,
+    ServiceState,
+    Shares,
+    StartOrder,
+    StopOrder,
+)
+from common.service import Context, Report
+from common.topics import CAMERA, DETECTIONS, LABELS, PREVIEW, RECORDING, SERVICE, SHARES
+from services.label.cameras import Camera
+from services.label.finish import Finisher
+from services.label.labelling import Labelled, Labeller
+from services.label.preview import Previews
+from services.label.recorder import Recorder
+from services.label.requests import explain
+from services.label.samples import Samples, Taker
+
+_ORDERS = (RecordOrder, StartOrder, StopOrder, PreviewOrder, ReloadOrder)
+_STATES_EVERY_NS = 1_000_000_000
+_BUSY_WAIT_S = 0.005
+_HOLD_NS = 4_000_000_000
+_STORE_WINDOW = 4096
+
+
+class LabelService:
+    """One label process; several share the cameras by camera."""
+
+    def __init__(self, context: Context) -> None:
+        self._context = context
+        self._rig = context.rig
+        self._log = context.log
+        self._cameras: dict[str, Camera] = {}
+        self._shares: Shares | None = None
+        self._returns: dict[str, Return] = {}
+        self._recorder = Recorder(self._reply)
+        self._dropped = Tally()
+        self._labelled = Rate()
+        self._latency = Percentiles()
+        self._held_since: dict[str, int] = {}
+        self._states_due_ns = 0
+        self._phases: dict[tuple[str, str], str] = {}
+        self._delay_s = float(os.environ.get("TAGMILL_LABEL_DELAY_MS", "0")) / 1000
+
+    def open(self) -> None:
+        """Bind the order socket, start the workers, ask the store which recordings run."""
+        context, endpoints = self._context, self._context.endpoints
+        self._labeller = Labeller.of(self._rig)
+        self._finisher = Finisher(self._rig.path)
+        self._finisher.warm_up()
+        self._samples = Samples(
+            endpoints.prefix,
+            context.id,
+            context.boot,
+            self._rig.config.ring.samples,
+            keep_original=self._rig.config.dataset.keep_original,
+        )
+        self._publisher = Publisher(endpoints, context.id, context.boot)
+        self._previews = Previews(
+            endpoints.prefix,
+            context.id,
+            context.boot,
+            lambda preview: self._publisher.publish(PREVIEW, (preview.of.camera,), preview),
+        )
+        self._orders = OrderServer(endpoints.orders_label(context.instance), _ORDERS)
+        self._store = OrderClient(endpoints.orders_store, context.id, window=_STORE_WINDOW)
+        self._subscriber = Subscriber(endpoints)
+        for topic in (DETECTIONS, CAMERA, SHARES):
+            self._subscriber.subscribe(topic)
+        self._subscriber.subscribe(SERVICE, "store")
+        self._poller = Poller()
+        for source in (self._orders, self._store, self._subscriber):
+            self._poller.add(source)
+        self._query_key = f"query/{context.id}/{context.boot}"
+        self._store.send(LedgerQuery(key=self._query_key))
+
+    def step(self, timeout_s: float) -> None:
+        """One round: orders, news, at most one frame a camera, outcomes, deadlines."""
+        busy = self._finisher.busy or any(camera.waiting for camera in self._cameras.values())
+        self._poller.wait(min(timeout_s, _BUSY_WAIT_S) if busy else timeout_s)
+        for return_, order in self._orders.receive():
+            self._returns[order.key] = return_
+            self._take_order(order)
+        for received in self._subscriber.receive():
+            self._hear(received.message)
+        for camera in self._cameras.values():
+            self._next_frame(camera)
+        self._collect()
+        self._recorder.tick({name: camera.state for name, camera in self._cameras.items()})
+        for ledger in self._recorder.ledger_orders():
+            self._store.send(ledger)
+        self._tell_states()
+
+    def drain(self) -> bool:
+        """Take nothing new; finish what is under way."""
+        self._recorder.finish_all("the stack was stopped")
+        self.step(0.05)
+        return self._recorder.settled and not self._samples.under_way and not self._store.pending
+
+    def close(self) -> None:
+        """Let go of everything, whatever state it is in."""
+        for name in ("_finisher", "_samples", "_previews", "_orders", "_store", "_subscriber", "_publisher"):
+            part = getattr(self, name, None)
+            if part is not None:
+                part.close()
+        for camera in self._cameras.values():
+            camera.close()
+
+    def report(self) -> Report:
+        """What the heartbeat says."""
+        return Report(
+            cameras=tuple(sorted(self._cameras)),
+            rates={"labelled": self._labelled.per_second()},
+            dropped=dict(self._dropped),
+            numbers={
+                "backlog": float(len(self._samples.under_way)),
+                "latency_p50_ms": self._latency.at(50) / 1e6,
+                "latency_p99_ms": self._latency.at(99) / 1e6,
+                "finisher_restarts": float(self._finisher.restarts),
+            },
+            faulty=bool(self._samples.under_way) and not self._store.available,
+            last_error=None if self._store.available else explain("store_down"),
+        )
+
+    # --- orders ---------------------------------------------------------------------------------------
+
+    def _take_order(self, order: Order) -> None:
+        match order:
+            case RecordOrder():
+                self._record(order)
+            case StartOrder():
+                self._recorder.start(order)
+                self._reply(Answer(key=order.key))
+                self._states_due_ns = 0
+            case StopOrder():
+                if not self._recorder.stop(order.recording, order.camera, order.key):
+                    self._refuse(order.key, "no_recording", f"no recording {order.recording} runs on {order.camera}")
+            case PreviewOrder():
+                if order.inpaint:
+                    self._previews.lease(order.camera)
+                self._reply(Answer(key=order.key))
+            case ReloadOrder():
+                self._reload(order.key)
+
+    def _record(self, order: RecordOrder) -> None:
+        request = self._recorder.record(order)
+        camera = self._cameras.get(order.camera)
+        if order.frame is None or camera is None:
+            return
+        past = next((item for item in camera.recent if item.ref.frame == order.frame), None)
+        if past is not None:
+            self._recorder.frame(past, self._label(camera, past), self._begin)
+        elif order.frame <= camera.newest:
+            request.refused("frame_gone")
+
+    def _reload(self, key: str) -> None:
+        """Take over the rig file, which control has checked."""
+        self._rig = load_rig(self._rig.path)
+        self._labeller = Labeller.of(self._rig)
+        self._finisher.reload()
+        self._reply(Answer(key=key))
+        self._log.info("rig.reloaded", objects=len(self._rig.boxes))
+
+    def _reply(self, answer: Answer) -> None:
+        return_ = self._returns.pop(answer.key, None)
+        if return_ is not None:
+            self._orders.answer(return_, answer)
+
+    def _refuse(self, key: str, code: str, message: str) -> None:
+        self._reply(Answer(key=key, error=ErrorInfo(code=code, message=message)))
+
+    # --- news -----------------------------------------------------------------------------------------
+
+    def _hear(self, message: object) -> None:
+        match message:
+            case Detections():
+                camera = self._cameras.get(message.ref.camera)
+                if camera is not None:
+                    camera.arrived(message)
+            case CameraState():
+                self._hear_camera(message)
+            case Shares():
+                self._shares = message
+            case ServiceState():
+                self._store.peer_seen(message.boot)
+
+    def _hear_camera(self, state: CameraState) -> None:
+        name = state.camera.name
+        if not self._serves(name):
+            gone = self._cameras.pop(name, None)
+            if gone is not None:
+                gone.close()
+        elif name in self._cameras:
+            self._cameras[name].update(state)
+        else:
+            self._cameras[name] = Camera(state, self._rig.config.ring.slots)
+            self._log.info("camera.known", camera=name, width=state.camera.width, height=state.camera.height)
+
+    def _serves(self, camera: str) -> bool:
+        if self._rig.config.workers.label == 1:
+            return True
+        return self._shares is not None and self._shares.label.get(camera) == self._context.instance
+
+    # --- frames ---------------------------------------------------------------------------------------
+
+    def _next_frame(self, camera: Camera) -> None:
+        """The oldest frame that is still good while a recording counts frames, else the newest."""
+        if camera.waiting and self._hold(camera):
+            return
+        every = self._recorder.needs_every_frame(camera.name)
+        while len(camera.waiting) > 1 and not (every and camera.alive(camera.waiting[0].ref)):
+            passed = camera.waiting.popleft()
+            self._dropped.add("superseded")
+            self._recorder.dropped(passed)
+        if camera.waiting:
+            detections = camera.waiting.popleft()
+            camera.recent.append(detections)
+            self._frame(camera, detections)
+
+    def _hold(self, camera: Camera) -> bool:
+        """A paced camera waits for its label, so its frame is held back while no sample slot is free."""
+        waits = (
+            camera.state.paced
+            and self._recorder.needs_every_frame(camera.name)
+            and not (self._samples.room(camera.name) and self._store.available)
+        )
+        now = clock.monotonic_ns()
+        if not waits:
+            self._held_since.pop(camera.name, None)
+            return False
+        return now - self._held_since.setdefault(camera.name, now) < _HOLD_NS
+
+    def _frame(self, camera: Camera, detections: Detections) -> None:
+        began = clock.monotonic_ns()
+        if self._delay_s:
+            time.sleep(self._delay_s)  # a slow labelling, asked for by a load test
+        labelled = self._label(camera, detections)
+        now = clock.monotonic_ns()
+        labels = Labels(ref=detections.ref, objects=labelled.objects, left_out=labelled.left_out, took_ns=now - began)
+        self._publisher.publish(LABELS, (camera.name,), labels)
+        self._recorder.frame(detections, labelled, self._begin)
+        self._labelled.tick()
+        self._latency.add(now - detections.ref.captured_mono_ns)
+        if self._previews.watched(camera.name):
+            self._previews.begin(camera, detections, self._finisher)
+
+    def _label(self, camera: Camera, detections: Detections) -> Labelled:
+        return self._labeller.label(detections.markers, camera.model, camera.name, detections.ref.captured_mono_ns)
+
+    def _begin(self, detections: Detections, takers: list[Taker]) -> str:
+        if not self._store.available:
+            raise RefusedError(explain("store_down"), code="store_down")
+        camera = self._cameras[detections.ref.camera]
+        previous = self._labeller.previous(camera.name, detections.ref.captured_mono_ns)
+        return self._samples.begin(camera, detections, previous, takers, self._finisher).name
+
+    def _collect(self) -> None:
+        """What the workers have finished goes to the store; what the store answers goes to who asked."""
+        jobs = [item for item in self._finisher.finished() if not self._previews.finished(*item)]
+        for outcome in self._samples.finished(jobs, self._rig.config.dataset.session, self._store):
+            self._recorder.outcome(outcome)
+        for answer in self._store.receive():
+            if answer.key == self._query_key:
+                self._resume(answer)
+            elif (outcome_ := self._samples.answered(answer)) is not None:
+                self._recorder.outcome(outcome_)
+            else:
+                self._recorder.ledger_answered(answer)
+
+    def _resume(self, answer: Answer) -> None:
+        """Go on with recordings that ran when this service last died."""
+        for ledger in answer.ledgers:
+            for camera, account in ledger.cameras.items():
+                if ledger.phase == "running" and (self._serves(camera) or self._shares is None):
+                    order = StartOrder(key=f"resume/{ledger.spec.recording}", spec=ledger.spec, camera=camera)
+                    self._recorder.start(order, resumed=account)
+
+    def _tell_states(self) -> None:
+        """RECORDING once a second, and at once when a recording's phase has changed."""
+        now = clock.monotonic_ns()
+        phases = {key: item.phase for key, item in self._recorder.recordings.items()}
+        if now < self._states_due_ns and phases == self._phases:
+            return
+        self._states_due_ns, self._phases = now + _STATES_EVERY_NS, dict(phases)
+        for state in self._recorder.states():
+            self._publisher.publish(RECORDING, (state.camera, state.ledger.spec.recording), state)
