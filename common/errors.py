@@ -92,3 +92,10 @@ class DatasetError(TagmillError):
     """A dataset's file can't be read or doesn't fit; the message names it."""
 
     code = "bad_dataset"
+
+
+class NoAnswerError(TagmillError):
+    """A peer didn't answer in time; the message says who, and how to see whether it runs."""
+
+    code = "no_answer"
+    exit_code = EXIT_NO_ANSWER

@@ -1,6 +1,6 @@
 """Frozen pydantic models for everything that travels between services, and their strict codec."""
 
-from common.messages.base import MAX_BYTES, SCHEMA_VERSION, Message, Stamp, decode, encode, unpack
+from common.messages.base import MAX_BYTES, SCHEMA_VERSION, Message, Stamp, decode, encode, unpack, validate
 from common.messages.detections import MARKERS, DetectedMarker, Detections, Labels, Preview
 from common.messages.frames import CameraState, FrameAnnounced, FrameRef, TrueMarker, TrueObject, Truth
 from common.messages.orders import (
@@ -58,4 +58,5 @@ __all__ = [
     "decode",
     "encode",
     "unpack",
+    "validate",
 ]

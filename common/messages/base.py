@@ -60,7 +60,11 @@ def unpack(data: bytes, limit: int = MAX_BYTES) -> Any:
 
 def decode(kind: type[M], data: bytes) -> M:
     """Unpack and validate strictly; raises CodecError naming the first wrong field."""
-    plain = unpack(data)
+    return validate(kind, unpack(data))
+
+
+def validate(kind: type[M], plain: Any) -> M:
+    """Make a message of unpacked ``plain`` strictly; raises CodecError naming the first wrong field."""
     stamp = plain.get("stamp") if isinstance(plain, dict) else None
     version = stamp.get("v") if isinstance(stamp, dict) else SCHEMA_VERSION
     if version != SCHEMA_VERSION:

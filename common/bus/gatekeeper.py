@@ -1,0 +1,83 @@
+"""Who may connect with CURVE: answers ZeroMQ's authentication requests (ZAP, RFC 27) from a folder of keys."""
+
+from __future__ import annotations
+
+import threading
+from pathlib import Path
+
+import zmq
+import zmq.utils.z85
+
+from common import log
+from common.bus.keys import authorized_keys
+from common.bus.sockets import Socket, new_socket
+from common.errors import ConfigError
+
+_LOG = log.get()
+_ZAP = "inproc://zeromq.zap.01"
+_STOP = b"stop"
+_JOIN_S = 5.0
+_PARTS_OF_CURVE_REQUEST = 7
+
+
+class Gatekeeper:
+    """Lets in whose public key lies in ``folder/authorized`` at the moment of connecting; refusals are logged.
+
+    A thread, since ZeroMQ asks while it shakes hands. At most one in a process.
+    """
+
+    def __init__(self, folder: Path) -> None:
+        authorized_keys(folder)
+        self._folder = folder
+        self.refused = 0
+        self._door = new_socket(zmq.REP, {})
+        self._bell = new_socket(zmq.PAIR, {})
+        ear = new_socket(zmq.PAIR, {})
+        try:
+            self._door.bind(_ZAP)
+            name = f"inproc://gatekeeper-{id(self)}"
+            ear.bind(name)
+            self._bell.connect(name)
+        except zmq.ZMQError:
+            for made in (self._door, self._bell, ear):
+                made.close(linger=0)
+            raise
+        self._thread = threading.Thread(target=self._serve, args=(ear,), name="gatekeeper", daemon=True)
+        self._thread.start()
+
+    def close(self) -> None:
+        """Stop answering: from here on nobody gets in. Idempotent."""
+        if self._bell.closed:
+            return
+        self._bell.send(_STOP)
+        self._thread.join(_JOIN_S)
+        self._bell.close(linger=0)
+
+    def _serve(self, ear: Socket) -> None:
+        poller = zmq.Poller()
+        poller.register(ear, zmq.POLLIN)
+        poller.register(self._door, zmq.POLLIN)
+        try:
+            while ear not in (ready := dict(poller.poll())):
+                if self._door in ready:
+                    self._door.send_multipart(self._verdict(self._door.recv_multipart()))
+        finally:
+            self._door.close(linger=0)
+            ear.close(linger=0)
+
+    def _verdict(self, request: list[bytes]) -> tuple[bytes, ...]:
+        version, request_id, *_ = [*request, b"", b""]
+        known = len(request) == _PARTS_OF_CURVE_REQUEST and request[5] == b"CURVE" and self._knows(request[6])
+        if known:
+            return version, request_id, b"200", b"OK", b"client", b""
+        self.refused += 1
+        address = request[3].decode("ascii", "replace") if len(request) > 3 else "?"
+        _LOG.warning("commands.client_refused", address=address, reason="its key is not in authorized/")
+        return version, request_id, b"400", b"not authorized", b"", b""
+
+    def _knows(self, key: bytes) -> bool:
+        try:
+            return zmq.utils.z85.encode(key) in authorized_keys(self._folder)
+        except (ConfigError, ValueError) as error:
+            _LOG.warning("commands.keys_unreadable", reason=str(error))
+            return False

@@ -1,0 +1,65 @@
+"""Waiting for several sockets with a deadline."""
+
+from __future__ import annotations
+
+import math
+from typing import Protocol
+
+import zmq
+
+from common.bus.sockets import Socket
+
+
+class SocketOwner(Protocol):
+    """Anything of this package that receives."""
+
+    @property
+    def sockets(self) -> tuple[Socket, ...]:
+        """The sockets to wait on; may grow during its life."""
+
+
+class FileLike(Protocol):
+    """A pipe or the like that becomes readable (a worker's connection)."""
+
+    def fileno(self) -> int:
+        """Its descriptor."""
+
+
+Waitable = SocketOwner | FileLike | int
+
+
+class Poller:
+    """Waits until any of its members can be read. Always POLLIN: zmq's default would spin a core."""
+
+    def __init__(self, *members: Waitable) -> None:
+        self._members: list[Waitable] = list(members)
+        self._made: zmq.Poller = zmq.Poller()
+        self._made_of: tuple[Socket | int, ...] = ()
+
+    def add(self, member: Waitable) -> None:
+        """Wait for this one too: an owner of sockets, something with ``fileno`` or a file descriptor."""
+        if not any(member is known for known in self._members):
+            self._members.append(member)
+
+    def remove(self, member: Waitable) -> None:
+        """No longer wait for it; unknown ones are ignored."""
+        self._members = [known for known in self._members if known is not member]
+
+    def wait(self, timeout_s: float) -> bool:
+        """Wait at most ``timeout_s``; True as soon as something can be received."""
+        parts = tuple(part for member in self._members for part in _parts(member))
+        if parts != self._made_of:
+            self._made = zmq.Poller()
+            for part in parts:
+                self._made.register(part, zmq.POLLIN)
+            self._made_of = parts
+        return bool(self._made.poll(max(0, math.ceil(timeout_s * 1000))))
+
+
+def _parts(member: Waitable) -> tuple[Socket | int, ...]:
+    if isinstance(member, int):
+        return (member,)
+    sockets = getattr(member, "sockets", None)
+    if sockets is not None:
+        return tuple(sockets)
+    return (member.fileno(),)  # type: ignore[union-attr]

@@ -1,0 +1,76 @@
+"""Publishing messages; never blocks."""
+
+from __future__ import annotations
+
+import zmq
+
+from common import clock
+from common.bus.endpoints import Endpoints
+from common.bus.sockets import PREVIEW_QUEUE, PUBLISHER_QUEUE, Socket, new_socket
+from common.messages import Message, Stamp, encode
+from common.topics import PREVIEW, Topic
+
+
+class Publisher:
+    """Publishes as ``source`` (a service id) in the life ``boot``. One a thread.
+
+    ``dropped`` counts messages that found the queue to the bus full (the proxy is down or stopped).
+    """
+
+    def __init__(self, endpoints: Endpoints, source: str, boot: str) -> None:
+        self.dropped = 0
+        self._endpoints = endpoints
+        self._source = source
+        self._boot = boot
+        self._sent: dict[bytes, int] = {}
+        self._bus: Socket | None = _connect(endpoints.publish, PUBLISHER_QUEUE)
+        self._previews: Socket | None = None
+
+    def publish(self, topic: Topic, keys: tuple[str, ...], message: Message) -> None:
+        """Stamp and send ``message``; ``keys`` are all of the topic's key parts.
+
+        The stamp's ``seq`` counts the messages of this topic and key, so that a reader sees what it missed.
+        Raises TypeError for a message of another topic, ValueError for incomplete keys, CodecError if too large.
+        """
+        if type(message) is not topic.message:
+            raise TypeError(f"topic {topic.name} takes {topic.message.__name__}, not {type(message).__name__}")
+        if len(keys) != len(topic.keys):
+            raise ValueError(f"topic {topic.name} needs the keys {topic.keys}, got {keys}")
+        wire = topic.key(*keys)
+        seq = self._sent.get(wire, 0) + 1
+        stamp = Stamp(
+            source=self._source,
+            boot=self._boot,
+            seq=seq,
+            mono_ns=clock.monotonic_ns(),
+            wall_ns=clock.wall_ns(),
+        )
+        data = encode(message.stamped(stamp))
+        self._sent[wire] = seq
+        try:
+            self._lane(topic).send_multipart((wire, data), zmq.NOBLOCK)
+        except zmq.Again:
+            self.dropped += 1
+
+    def close(self) -> None:
+        """Close at once; idempotent."""
+        for made in (self._bus, self._previews):
+            if made is not None:
+                made.close(linger=0)
+        self._bus = self._previews = None
+
+    def _lane(self, topic: Topic) -> Socket:
+        if self._bus is None:
+            raise ValueError(f"the publisher of {self._source} is closed")
+        if topic is not PREVIEW:
+            return self._bus
+        if self._previews is None:
+            self._previews = _connect(self._endpoints.publish_preview, PREVIEW_QUEUE)
+        return self._previews
+
+
+def _connect(address: str, queue: int) -> Socket:
+    # XPUB_NODROP: a full queue is an error that can be counted, instead of a silent loss.
+    made = new_socket(zmq.PUB, {zmq.SNDHWM: queue, zmq.XPUB_NODROP: 1})
+    made.connect(address)
+    return made

@@ -1,0 +1,91 @@
+"""Making, binding and closing sockets: every option that all of them share is set here."""
+
+from __future__ import annotations
+
+import os
+import socket as unix
+from collections.abc import Mapping
+from typing import Any
+
+import zmq
+
+from common.bus.endpoints import MAX_PATH_BYTES, ipc_path
+from common.bus.locks import NameLock
+from common.errors import ConfigError
+
+Socket = zmq.Socket[bytes]
+
+BUS_QUEUE = 100
+PREVIEW_QUEUE = 4
+PUBLISHER_QUEUE = 30
+ROOM_FOR_FRAMING = 4096
+"""Socket-level limits are this much above the codec's, so that only what is far too large costs the connection."""
+
+_BACKLOG = 128
+
+
+def new_socket(
+    kind: int, options: Mapping[zmq.SocketOption, Any], context: zmq.Context[Socket] | None = None
+) -> Socket:
+    """A socket of the process's context (or ``context``) with LINGER 0 and the given options."""
+    made: Socket = (context or zmq.Context.instance()).socket(kind)
+    made.setsockopt(zmq.LINGER, 0)
+    for option, value in options.items():
+        made.setsockopt(option, value)
+    return made
+
+
+def end_context() -> None:
+    """Close what the process's context still has open; the last act of a process."""
+    zmq.Context.instance().destroy(linger=0)
+
+
+class Binding:
+    """One socket bound to one ipc path, under the path's lock.
+
+    The listener is made here and given to ZeroMQ, because ZeroMQ removes a path of its own making at some time
+    *after* ``close``, when a successor may have bound it already.
+    """
+
+    def __init__(self, bound: Socket, address: str, holder: str) -> None:
+        self._socket = bound
+        self._path = ipc_path(address)
+        if len(os.fsencode(self._path)) > MAX_PATH_BYTES:
+            raise ConfigError(
+                f"the socket path {self._path} is longer than {MAX_PATH_BYTES} bytes; "
+                "set TAGMILL_RUN_DIR to a short path such as /tmp/tm"
+            )
+        self._lock: NameLock | None = NameLock(self._path.with_name(self._path.name + ".lock"), holder)
+        try:
+            self._path.unlink(missing_ok=True)
+            bound.setsockopt(zmq.USE_FD, _listener(str(self._path)))
+            bound.bind(address)
+        except (OSError, zmq.ZMQError):
+            self.release()
+            raise
+
+    def unlink(self) -> None:
+        """Remove the socket file: nobody new connects from here on."""
+        if self._lock is not None:
+            self._path.unlink(missing_ok=True)
+
+    def release(self) -> None:
+        """Remove the socket file, close the socket, give the name back; idempotent."""
+        if self._lock is None:
+            return
+        self._path.unlink(missing_ok=True)
+        self._socket.close(linger=0)
+        self._lock.release()
+        self._lock = None
+
+
+def _listener(path: str) -> int:
+    """A listening Unix socket's descriptor; whoever binds it to a ZeroMQ socket hands it over for good."""
+    listener = unix.socket(unix.AF_UNIX, unix.SOCK_STREAM | unix.SOCK_NONBLOCK | unix.SOCK_CLOEXEC)
+    try:
+        listener.bind(path)
+        listener.listen(_BACKLOG)
+    except OSError:
+        listener.close()
+        raise
+    return listener.detach()

@@ -1,0 +1,190 @@
+"""Subscribing: strict decoding, `latest` by draining, and an account of everything that didn't arrive."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from dataclasses import dataclass
+
+import zmq
+
+from common import clock, log
+from common.bus.endpoints import Endpoints
+from common.bus.sockets import BUS_QUEUE, PREVIEW_QUEUE, ROOM_FOR_FRAMING, Socket, new_socket
+from common.errors import CodecError
+from common.messages import MAX_BYTES, Message, Stamp, decode
+from common.topics import PREVIEW, Topic, topic_of
+
+_LOG = log.get()
+_MAX_DRAIN = 1000
+"""Messages taken in one call, so that a flood can't keep a reader in its drain."""
+
+
+@dataclass(frozen=True, slots=True)
+class Received:
+    """A valid message with its topic and key parts; ``stamp`` says who sent it and when."""
+
+    topic: Topic
+    keys: tuple[str, ...]
+    message: Message
+    stamp: Stamp
+    received_ns: int
+
+    @property
+    def age_ns(self) -> int:
+        """Nanoseconds (monotonic) from sending to receiving: large for what was queued while the bus was down."""
+        return max(0, self.received_ns - self.stamp.mono_ns)
+
+
+class Subscriber:
+    """Receives the subscribed topics. One a thread.
+
+    ``bad``: garbage, by kind in ``bad_kinds``, logged once a kind. By topic: ``superseded`` (a newer message of
+    a ``latest`` topic was there), ``missed`` (gaps in the sequence: lost in full queues), ``stale`` (older than
+    the reader wanted).
+    """
+
+    def __init__(self, endpoints: Endpoints) -> None:
+        self.bad_kinds: dict[str, int] = {}
+        self.superseded: dict[str, int] = {}
+        self.missed: dict[str, int] = {}
+        self.stale: dict[str, int] = {}
+        self._endpoints = endpoints
+        self._wanted: set[bytes] = set()
+        self._last: dict[bytes, tuple[str, int]] = {}
+        self._bus: Socket | None = _connect(endpoints.subscribe, BUS_QUEUE)
+        self._previews: Socket | None = None
+
+    @property
+    def bad(self) -> int:
+        """How many pieces of garbage came so far."""
+        return sum(self.bad_kinds.values())
+
+    @property
+    def sockets(self) -> tuple[Socket, ...]:
+        """For the Poller."""
+        return tuple(made for made in (self._bus, self._previews) if made is not None)
+
+    def subscribe(self, topic: Topic, *keys: str) -> None:
+        """Receive this topic; fewer keys than the topic has = all below."""
+        wire = topic.key(*keys)
+        if wire not in self._wanted:
+            self._wanted.add(wire)
+            self._lane(topic).setsockopt(zmq.SUBSCRIBE, wire)
+
+    def unsubscribe(self, topic: Topic, *keys: str) -> None:
+        """Undo ``subscribe`` with the same arguments; what was not subscribed to is ignored."""
+        wire = topic.key(*keys)
+        if wire in self._wanted:
+            self._wanted.remove(wire)
+            self._lane(topic).setsockopt(zmq.UNSUBSCRIBE, wire)
+
+    def receive(self, max_age_s: float | None = None) -> list[Received]:
+        """Everything that is there, in order of arrival, without waiting.
+
+        Of a ``latest`` topic only the newest of each full key. Messages older than ``max_age_s`` are dropped
+        and counted in ``stale``.
+        """
+        found: list[Received] = []
+        newest: dict[bytes, list[tuple[int, bytes]]] = {}
+        order: list[tuple[int, Received]] = []
+        for position, (wire, topic, data) in enumerate(self._arrived()):
+            if topic.delivery == "latest":
+                newest.setdefault(wire, []).append((position, data))
+            elif (received := self._decoded(wire, topic, data)) is not None:
+                order.append((position, received))
+        for wire, stack in newest.items():
+            chosen = self._newest_valid(wire, stack)
+            if chosen is not None:
+                order.append(chosen)
+        order.sort(key=lambda item: item[0])
+        for _, received in order:
+            if max_age_s is not None and received.age_ns > max_age_s * 1e9:
+                _add(self.stale, received.topic.name)
+            else:
+                found.append(received)
+        return found
+
+    def close(self) -> None:
+        """Close at once; idempotent."""
+        for made in self.sockets:
+            made.close(linger=0)
+        self._bus = self._previews = None
+
+    def _arrived(self) -> Iterator[tuple[bytes, Topic, bytes]]:
+        for made in self.sockets:
+            for _ in range(_MAX_DRAIN):
+                try:
+                    parts = made.recv_multipart(zmq.NOBLOCK)
+                except zmq.Again:
+                    break
+                if (row := self._checked(parts)) is not None:
+                    yield row
+
+    def _checked(self, parts: list[bytes]) -> tuple[bytes, Topic, bytes] | None:
+        if len(parts) != 2:
+            self._count_bad("framing", f"{len(parts)} parts instead of topic and message")
+            return None
+        wire, data = parts
+        topic = topic_of(wire)
+        if topic is None or wire.count(b"/") != len(topic.keys) or not wire.isascii():
+            self._count_bad("topic", f"no such topic: {wire[:80]!r}")
+            return None
+        # ZeroMQ matches prefixes: a subscription to camera/cam1 also brings camera/cam10.
+        if wire in self._wanted or any(want.endswith(b"/") and wire.startswith(want) for want in self._wanted):
+            return wire, topic, data
+        return None
+
+    def _newest_valid(self, wire: bytes, stack: list[tuple[int, bytes]]) -> tuple[int, Received] | None:
+        topic = topic_of(wire)
+        assert topic is not None
+        while stack:
+            position, data = stack.pop()
+            received = self._decoded(wire, topic, data)
+            if received is not None:
+                if stack:
+                    _add(self.superseded, topic.name, len(stack))
+                return position, received
+        return None
+
+    def _decoded(self, wire: bytes, topic: Topic, data: bytes) -> Received | None:
+        try:
+            message = decode(topic.message, data)
+        except CodecError as error:
+            self._count_bad(f"message:{topic.name}", error.message)
+            return None
+        if message.stamp is None:
+            self._count_bad(f"message:{topic.name}", "no stamp")
+            return None
+        self._count_missed(wire, topic, message.stamp)
+        keys = tuple(part.decode("ascii") for part in wire.split(b"/")[1:])
+        return Received(topic, keys, message, message.stamp, clock.monotonic_ns())
+
+    def _count_missed(self, wire: bytes, topic: Topic, stamp: Stamp) -> None:
+        boot, seq = self._last.get(wire, ("", 0))
+        if topic.delivery == "every" and boot == stamp.boot and stamp.seq > seq + 1:
+            _add(self.missed, topic.name, stamp.seq - seq - 1)
+        self._last[wire] = (stamp.boot, stamp.seq)
+
+    def _count_bad(self, kind: str, what: str) -> None:
+        _add(self.bad_kinds, kind)
+        if self.bad_kinds[kind] == 1:
+            _LOG.warning("bus.garbage", kind=kind, what=what)
+
+    def _lane(self, topic: Topic) -> Socket:
+        if self._bus is None:
+            raise ValueError("the subscriber is closed")
+        if topic is not PREVIEW:
+            return self._bus
+        if self._previews is None:
+            self._previews = _connect(self._endpoints.subscribe_preview, PREVIEW_QUEUE)
+        return self._previews
+
+
+def _connect(address: str, queue: int) -> Socket:
+    made = new_socket(zmq.SUB, {zmq.RCVHWM: queue, zmq.MAXMSGSIZE: 2 * (MAX_BYTES + ROOM_FOR_FRAMING)})
+    made.connect(address)
+    return made
+
+
+def _add(counts: dict[str, int], what: str, by: int = 1) -> None:
+    counts[what] = counts.get(what, 0) + by

@@ -1,0 +1,190 @@
+"""Logging: events, not prose; and a reader of the log that stalls never stalls a service.
+
+``setup`` puts a bounded queue and a writer thread between the service and stderr: what finds the queue full is
+dropped and counted, and the next line that gets through is preceded by the count (``log.dropped``).
+"""
+
+from __future__ import annotations
+
+import atexit
+import logging
+import os
+import queue
+import sys
+import threading
+from collections.abc import MutableMapping
+from typing import Any, cast
+
+import structlog
+from structlog.typing import FilteringBoundLogger
+
+from common.errors import TagmillError
+
+_QUEUE_LINES = 2000
+_FLUSH_S = 1.0
+
+
+class QueueWriter:
+    """Writes lines to a file descriptor from a thread of its own; ``write`` never blocks.
+
+    ``dropped`` counts lines that found the queue full or the reader of the pipe gone.
+    """
+
+    def __init__(self, descriptor: int, size: int = _QUEUE_LINES) -> None:
+        self.dropped = 0
+        self._descriptor = descriptor
+        self._size = size
+        self._guard = threading.Lock()
+        self._start()
+
+    def write(self, line: str) -> None:
+        """Queue one line (without its end)."""
+        if self._pid != os.getpid():
+            self._start()  # a forked child has no writer thread
+        try:
+            self._lines.put_nowait(line)
+        except queue.Full:
+            with self._guard:
+                self.dropped += 1
+                self._untold += 1
+
+    def flush(self, timeout_s: float = _FLUSH_S) -> bool:
+        """Wait until everything queued so far is written; False if that took longer than ``timeout_s``."""
+        if self._pid != os.getpid() or not self._thread.is_alive():
+            return True
+        done = threading.Event()
+        try:
+            self._lines.put(done, timeout=timeout_s)
+        except queue.Full:
+            return False
+        return done.wait(timeout_s)
+
+    def close(self, timeout_s: float = _FLUSH_S) -> None:
+        """Flush within ``timeout_s`` and end the thread (which is left alone if its pipe is stalled)."""
+        if self.flush(timeout_s) and self._pid == os.getpid():
+            self._lines.put(None)
+            self._thread.join(timeout_s)
+
+    def _start(self) -> None:
+        self._pid = os.getpid()
+        self._untold = 0
+        self._lines: queue.Queue[str | threading.Event | None] = queue.Queue(self._size)
+        self._thread = threading.Thread(target=self._run, args=(self._lines,), name="log-writer", daemon=True)
+        self._thread.start()
+
+    def _run(self, lines: queue.Queue[str | threading.Event | None]) -> None:
+        while (line := lines.get()) is not None:
+            with self._guard:
+                untold, self._untold = self._untold, 0
+            if untold:
+                self._put(f'{{"event": "log.dropped", "level": "warning", "count": {untold}}}')
+            if isinstance(line, threading.Event):
+                line.set()
+            else:
+                self._put(line)
+
+    def _put(self, line: str) -> None:
+        data = line.encode("utf-8", "backslashreplace") + b"\n"
+        try:
+            while data:
+                data = data[os.write(self._descriptor, data) :]
+        except OSError:
+            with self._guard:
+                self.dropped += 1
+
+
+class _Sink:
+    """The logger below structlog's processors: one method for every level."""
+
+    def __init__(self, writer: QueueWriter | None) -> None:
+        self._writer = writer
+
+    def msg(self, line: str) -> None:
+        if self._writer is None:
+            sys.stderr.write(line + "\n")
+        else:
+            self._writer.write(line)
+
+    debug = info = warning = error = critical = log = msg
+
+
+class _FromLibraries(logging.Handler):
+    """Brings what libraries log into the same stream."""
+
+    def emit(self, record: logging.LogRecord) -> None:
+        get().log(record.levelno, "library.said", logger=record.name, text=record.getMessage())
+
+
+_writer: QueueWriter | None = None
+
+
+def setup(service_id: str, level: str = "info", stream: Any = None) -> QueueWriter:
+    """Log as ``service_id`` to ``stream`` (default stderr): readable lines on a terminal, JSON otherwise.
+
+    May be called again; the returned writer counts what was dropped. Everything is flushed at exit, within 1 s.
+    """
+    global _writer
+    shutdown()
+    target = stream or sys.stderr
+    _writer = QueueWriter(target.fileno())
+    _configure(_writer, readable=target.isatty(), level=level)
+    structlog.contextvars.clear_contextvars()
+    structlog.contextvars.bind_contextvars(service=service_id)
+    root = logging.getLogger()
+    root.handlers[:] = [_FromLibraries(logging.WARNING)]
+    return _writer
+
+
+def get(**bound: Any) -> FilteringBoundLogger:
+    """A logger with ``bound`` in each of its events; valid before and after ``setup``."""
+    return cast("FilteringBoundLogger", structlog.get_logger(**bound))
+
+
+def dropped() -> int:
+    """How many lines this process couldn't write."""
+    return 0 if _writer is None else _writer.dropped
+
+
+def shutdown(timeout_s: float = _FLUSH_S) -> None:
+    """Write what is queued, for at most ``timeout_s``, and go back to plain stderr; idempotent."""
+    global _writer
+    writer, _writer = _writer, None
+    if writer is not None:
+        _configure(None, readable=True, level="info")
+        writer.close(timeout_s)
+
+
+def _configure(writer: QueueWriter | None, *, readable: bool, level: str) -> None:
+    renderer: Any = (
+        structlog.dev.ConsoleRenderer(colors=sys.stderr.isatty())
+        if readable
+        else structlog.processors.JSONRenderer(default=str)
+    )
+    structlog.configure(
+        processors=[
+            structlog.contextvars.merge_contextvars,
+            structlog.processors.add_log_level,
+            structlog.processors.TimeStamper(fmt="iso", utc=True),
+            _expected_without_traceback,
+            *([] if readable else [structlog.processors.format_exc_info]),
+            renderer,
+        ],
+        wrapper_class=structlog.make_filtering_bound_logger(level),
+        logger_factory=lambda *_: _Sink(writer),
+        cache_logger_on_first_use=False,
+    )
+
+
+def _expected_without_traceback(_logger: Any, _name: str, event: MutableMapping[str, Any]) -> MutableMapping[str, Any]:
+    """An expected refusal is told by its code and sentence; only a bug keeps its traceback."""
+    info = event.get("exc_info")
+    error = sys.exc_info()[1] if info is True else info[1] if isinstance(info, tuple) else info
+    if isinstance(error, TagmillError):
+        del event["exc_info"]
+        event["code"] = error.code
+        event["reason"] = error.message
+    return event
+
+
+_configure(None, readable=True, level="info")
+atexit.register(shutdown)
