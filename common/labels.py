@@ -93,7 +93,7 @@ class ObjectLabel(Part):
 
 
 class LeftOut(Part):
-    """A marker that gave no side, and why: unknown_marker, duplicate_marker, not_detected, bad_pose."""
+    """A marker that gave no side, and why: unknown_marker, duplicate_marker, not_detected, bad_pose, contradicts."""
 
     marker: int
     reason: str

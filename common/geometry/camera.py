@@ -17,6 +17,8 @@ from common.labels import CameraLabel
 Array = NDArray[np.float64]
 NEAR_MM = 1.0
 """Points nearer than this to the camera's plane, or behind it, have no projection."""
+ROUND_TRIP_PX = 0.01
+"""A pixel whose ray doesn't project back to it within this has no ray."""
 MARGIN = 1.1
 """The distortion model is trusted to this multiple of the radius that the picture's corners need."""
 
@@ -68,14 +70,26 @@ class CameraModel:
         return pixels, front
 
     def normalise(self, pixels: ArrayLike) -> Array:
-        """Undistort pixels (N, 2) to x/z, y/z (N, 2) in the camera frame."""
+        """Undistort pixels (N, 2) to x/z, y/z (N, 2) in the camera frame.
+
+        NaN where no ray in front of the camera leads to a pixel: a strong barrel distortion or a fisheye has
+        corners of the picture that its model can't reach, and cv2 returns arbitrary numbers there.
+        """
         uv = np.asarray(pixels, dtype=np.float64).reshape(-1, 1, 2)
+        if not len(uv):
+            return np.zeros((0, 2))
+        criteria = (cv2.TERM_CRITERIA_COUNT | cv2.TERM_CRITERIA_EPS, 60, 1e-9)
         if self.model == "fisheye":
-            out = cv2.fisheye.undistortPoints(uv, self.matrix, self.distortion[:4])
+            found = cv2.fisheye.undistortPoints(uv, self.matrix, self.distortion[:4], criteria=criteria)
         else:
-            criteria = (cv2.TERM_CRITERIA_COUNT | cv2.TERM_CRITERIA_EPS, 60, 1e-9)
-            out = cv2.undistortPointsIter(uv, self.matrix, self.distortion, np.eye(3), np.eye(3), criteria)
-        return np.asarray(out, dtype=np.float64).reshape(-1, 2)
+            found = cv2.undistortPointsIter(uv, self.matrix, self.distortion, np.eye(3), np.eye(3), criteria)
+        rays = np.asarray(found, dtype=np.float64).reshape(-1, 2)
+        if self.distortion.any() or self.model == "fisheye":
+            with np.errstate(invalid="ignore"):
+                again = self._project_normalised(rays)
+                missed = ~(np.linalg.norm(again - uv[:, 0], axis=1) < ROUND_TRIP_PX)
+            rays[missed | (np.hypot(rays[:, 0], rays[:, 1]) > self._limit)] = np.nan
+        return rays
 
     def contains(self, pixels: ArrayLike) -> NDArray[np.bool_]:
         """Which pixels (N, 2) lie inside the picture's area, i.e. in [-0.5, width - 0.5) x [-0.5, height - 0.5)."""
@@ -112,7 +126,10 @@ class CameraModel:
         corners = np.array([[0, 0], [self.width, 0], [self.width, self.height], [0, self.height]], dtype=float)
         centred = (corners - self.matrix[:2, 2]) / np.diag(self.matrix)[:2]
         wanted = float(np.hypot(centred[:, 0], centred[:, 1]).max())
-        radii = np.linspace(0.0, max(4.0 * wanted, 4.0), 4001)
+        if self.model == "fisheye":
+            radii = np.tan(np.linspace(0.0, np.radians(89.9), 4001))
+        else:
+            radii = np.linspace(0.0, max(4.0 * wanted, 4.0), 4001)
         pixels = self._distort(np.column_stack([radii, np.zeros_like(radii)]))
         distorted = (pixels[:, 0] - self.matrix[0, 2]) / self.matrix[0, 0]
         rising = np.diff(distorted) > 0.0

@@ -1,0 +1,184 @@
+"""Least-squares fit of a rigid pose to marker corners, in picture pixels. Pure.
+
+Corners are undistorted once; the lens enters the residual by its slope at each corner, which is exact to
+first order and the same for every camera model (pinhole with distortion, fisheye).
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import cv2
+import numpy as np
+from numpy.typing import NDArray
+
+from common.geometry import CameraModel, Pose
+
+Array = NDArray[np.float64]
+
+NEAR_MM = 1.0
+"""No point of a fit may come nearer to the camera's plane."""
+_STEP = 1e-4
+"""Step (x/z units) of the lens slope's central differences."""
+
+
+@dataclass(frozen=True, eq=False)
+class Observed:
+    """Corners as seen: ``points`` (N, 3) mm in the object frame, ``rays`` (N, 2) undistorted x/z, y/z,
+    ``slopes`` (N, 2, 2) d pixel / d ray of the lens, ``sigma`` (N,) px.
+    """
+
+    points: Array
+    rays: Array
+    slopes: Array
+    sigma: Array
+
+    @property
+    def finite(self) -> bool:
+        """Whether every corner has a ray (a lens need not reach every pixel)."""
+        return bool(np.isfinite(self.rays).all() and np.isfinite(self.slopes).all())
+
+
+@dataclass(frozen=True, eq=False)
+class Fit:
+    """A pose (object to camera frame) and how it fits.
+
+    ``cost`` is the sum of squared residuals in units of the corner noise, ``residuals`` (N, 2) are px,
+    ``information`` (6, 6) is the inverse covariance of a rotation (rad) and a shift (mm) in the camera frame.
+    """
+
+    pose: Pose
+    cost: float
+    residuals: Array
+    information: Array
+
+
+def observe(points: Array, pixels: Array, sigma: Array, camera: CameraModel) -> Observed:
+    """Prepare corners: ``points`` (N, 3) mm, ``pixels`` (N, 2), ``sigma`` (N,) px."""
+    rays = camera.normalise(pixels)
+    return Observed(points, rays, _lens_slopes(rays, camera), sigma)
+
+
+def join(parts: Sequence[Observed]) -> Observed:
+    """Corners of several markers as one observation."""
+    return Observed(
+        np.concatenate([part.points for part in parts]),
+        np.concatenate([part.rays for part in parts]),
+        np.concatenate([part.slopes for part in parts]),
+        np.concatenate([part.sigma for part in parts]),
+    )
+
+
+def misfit(observed: Observed, pose: Pose) -> float:
+    """The cost of a pose; infinite where a point would lie behind the camera."""
+    residuals = _residuals(observed, pose)
+    return float("inf") if residuals is None else _cost(observed, residuals)
+
+
+def residual_px(observed: Observed, pose: Pose) -> float:
+    """Root mean square distance (px) of the corners from where the pose puts them; inf behind the camera."""
+    residuals = _residuals(observed, pose)
+    return float("inf") if residuals is None else float(np.sqrt((residuals**2).sum(axis=1).mean()))
+
+
+def refine(observed: Observed, start: Pose, iterations: int = 30) -> Fit | None:
+    """Levenberg-Marquardt from ``start``; None where it starts behind the camera or nothing finite comes out."""
+    pose, residuals = start, _residuals(observed, start)
+    if residuals is None:
+        return None
+    cost, damping = _cost(observed, residuals), 1e-3
+    information = np.zeros((6, 6))
+    for _ in range(iterations):
+        jacobian = _jacobian(observed, pose)
+        information = jacobian.T @ jacobian
+        gradient = jacobian.T @ (residuals / observed.sigma[:, None]).ravel()
+        step = _solve(information, gradient, damping)
+        if step is None:
+            return None
+        moved = _moved(pose, step)
+        next_residuals = _residuals(observed, moved)
+        next_cost = float("inf") if next_residuals is None else _cost(observed, next_residuals)
+        if next_residuals is not None and next_cost <= cost:
+            settled = cost - next_cost <= 1e-9 * (1e-9 + cost)
+            pose, residuals, cost, damping = moved, next_residuals, next_cost, max(damping / 10, 1e-12)
+            if settled:
+                break
+        elif damping > 1e8:
+            break
+        else:
+            damping *= 10
+    if not (np.isfinite(cost) and np.isfinite(pose.matrix).all()):
+        return None
+    return Fit(pose, cost, residuals, information)
+
+
+def square_poses(corners: Array, size_mm: float, camera: CameraModel) -> tuple[Pose, ...]:
+    """Both poses (marker to camera frame) of a square marker from its corners (4, 2) px, better one first.
+
+    Method: infinitesimal plane-based pose estimation for squares (Collins and Bartoli, IJCV 2014), cv2's.
+    """
+    rays = camera.normalise(corners)
+    if not np.isfinite(rays).all():
+        return ()
+    half = size_mm / 2
+    square = np.array([[-half, half, 0], [half, half, 0], [half, -half, 0], [-half, -half, 0]])
+    try:
+        _, rvecs, tvecs, _ = cv2.solvePnPGeneric(square, rays, np.eye(3), None, flags=cv2.SOLVEPNP_IPPE_SQUARE)
+    except cv2.error:  # corners on one line have no homography: a degenerate quadrilateral, not a marker
+        return ()
+    found = (Pose.from_rvec(rvec, tvec) for rvec, tvec in zip(rvecs, tvecs, strict=True))
+    return tuple(pose for pose in found if np.isfinite(pose.matrix).all() and pose.translation[2] > NEAR_MM)
+
+
+def _residuals(observed: Observed, pose: Pose) -> Array | None:
+    xyz = pose.apply(observed.points)
+    if not (xyz[:, 2] > NEAR_MM).all():  # also false for NaN
+        return None
+    off = xyz[:, :2] / xyz[:, 2:] - observed.rays
+    return np.asarray(np.einsum("nij,nj->ni", observed.slopes, off))
+
+
+def _cost(observed: Observed, residuals: Array) -> float:
+    return float(((residuals / observed.sigma[:, None]) ** 2).sum())
+
+
+def _jacobian(observed: Observed, pose: Pose) -> Array:
+    """d residual / d (rotation in the camera frame about the object's origin, shift), (2N, 6), in sigma."""
+    turned = observed.points @ pose.rotation.T
+    xyz = turned + pose.translation
+    inverse_z = 1.0 / xyz[:, 2]
+    count = len(xyz)
+    ray = np.zeros((count, 2, 3))
+    ray[:, 0, 0] = ray[:, 1, 1] = inverse_z
+    ray[:, :, 2] = -xyz[:, :2] * (inverse_z**2)[:, None]
+    pixel = np.einsum("nij,njk->nik", observed.slopes / observed.sigma[:, None, None], ray)
+    cross = np.zeros((count, 3, 3))
+    x, y, z = turned.T
+    cross[:, 0, 1], cross[:, 0, 2], cross[:, 1, 2] = z, -y, x
+    cross[:, 1, 0], cross[:, 2, 0], cross[:, 2, 1] = -z, y, -x
+    return np.concatenate([np.einsum("nij,njk->nik", pixel, cross), pixel], axis=2).reshape(2 * count, 6)
+
+
+def _solve(information: Array, gradient: Array, damping: float) -> Array | None:
+    damped = information + damping * np.diag(np.diag(information) + 1e-12)
+    try:
+        step = np.linalg.solve(damped, -gradient)
+    except np.linalg.LinAlgError:
+        return None
+    return np.asarray(step, dtype=np.float64) if np.isfinite(step).all() else None
+
+
+def _moved(pose: Pose, step: Array) -> Pose:
+    turn, _ = cv2.Rodrigues(step[:3])
+    return Pose(np.asarray(turn, dtype=np.float64) @ pose.rotation, pose.translation + step[3:])
+
+
+def _lens_slopes(rays: Array, camera: CameraModel) -> Array:
+    offsets = np.array([[_STEP, 0], [-_STEP, 0], [0, _STEP], [0, -_STEP]])
+    around = (rays[:, None, :] + offsets).reshape(-1, 2)
+    pixels, _ = camera.project(np.column_stack([around, np.ones(len(around))]))
+    shifted = pixels.reshape(-1, 4, 2)
+    right = (shifted[:, 0] - shifted[:, 1]) / (2 * _STEP)
+    down = (shifted[:, 2] - shifted[:, 3]) / (2 * _STEP)
+    return np.stack([right, down], axis=2)

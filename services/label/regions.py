@@ -1,0 +1,168 @@
+"""Which regions of the picture show a marker and must be erased. Pure.
+
+A mask of just the black square lets the white border feed the fill and leaves a bright spot (the paper's finding),
+so every marker is widened in its own plane to its border plus a margin.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from typing import Literal
+
+import cv2
+import numpy as np
+from numpy.typing import NDArray
+
+from common.geometry import Box, BoxSide, CameraModel, MarkerOnSide, Pose
+from common.labels import ErasedPolygon, LeftOut, ObjectLabel, Quad
+from services.label.visibility import faces_camera, marker_hidden
+from services.label.windows import clip_near, points
+
+Array = NDArray[np.float64]
+
+MIN_MARGIN_PX = 3.0
+UNKNOWN_BORDER = 0.2
+"""Border of a marker that the rig file doesn't know, as a share of its size: a little over one cell."""
+_UNIT = np.array([[-0.5, 0.5], [0.5, 0.5], [0.5, -0.5], [-0.5, -0.5]])
+_ALONG = np.linspace(0.0, 1.0, 4, endpoint=False)
+"""Points along each side: through a lens, straight edges are bent."""
+_AROUND = np.array([(np.cos(a), np.sin(a)) for a in np.arange(8) * np.pi / 4]) / np.cos(np.pi / 8)
+
+
+def regions(
+    objects: Sequence[ObjectLabel],
+    left_out: Sequence[LeftOut],
+    boxes: Sequence[Box],
+    camera: CameraModel,
+    margin: float = 0.15,
+) -> tuple[ErasedPolygon, ...]:
+    """The polygons to erase in a labelled frame; cut to the picture, so some may have more than four points.
+
+    ``margin`` goes beyond the white border, as a share of the marker's size, and is at least 3 px. Every detected
+    marker is erased where it was detected, known or not, and all copies of an id seen twice; every configured
+    marker of an object with a pose also where the pose puts it, detected or not, unless its side is turned away
+    or another object hides it. With two poses left open both count.
+    """
+    polygons: list[ErasedPolygon] = []
+    sizes = {marker.id: marker for box in boxes for _, marker in box.markers()}
+    for id_, corners in _detected(objects, left_out):
+        marker = sizes.get(id_)
+        border = UNKNOWN_BORDER if marker is None else marker.border_mm / marker.size_mm
+        polygons += _cut(id_, "detected", _outline_of_corners(corners, border, margin, camera), camera)
+    posed = _posed(objects, boxes)
+    for box, pose in posed:
+        others = [(other, at) for other, at in posed if other is not box]
+        for side, marker in box.markers():
+            if faces_camera(pose, box, side, marker) and not marker_hidden(pose, box, side, marker, others):
+                polygons += _cut(marker.id, "pose", _outline_of_pose(box, side, marker, pose, margin, camera), camera)
+    return tuple(polygons)
+
+
+def _detected(objects: Sequence[ObjectLabel], left_out: Sequence[LeftOut]) -> list[tuple[int, Quad]]:
+    """Every detected marker of the frame: each is in exactly one of the two."""
+    sides = [(side.marker, side.marker_corners) for label in objects for side in label.sides]
+    return sides + [(entry.marker, entry.corners) for entry in left_out if entry.corners is not None]
+
+
+def _posed(objects: Sequence[ObjectLabel], boxes: Sequence[Box]) -> list[tuple[Box, Pose]]:
+    """Each labelled box with its pose, and once more with the alternative where there is one."""
+    by_name = {box.name: box for box in boxes}
+    posed = []
+    for label in objects:
+        box = by_name.get(label.name)
+        if box is None:  # found by another source than the markers
+            continue
+        posed.append((box, Pose.from_label(label.pose)))
+        if label.quality.alternative_pose is not None:
+            posed.append((box, Pose.from_label(label.quality.alternative_pose)))
+    return posed
+
+
+def _outline_of_corners(corners: Quad, border: float, margin: float, camera: CameraModel) -> Array | None:
+    """Outline (N, 2) px of a marker widened in its plane; ``border`` and ``margin`` as shares of its size."""
+    rays = camera.normalise(np.array(corners))
+    if not np.isfinite(rays).all():
+        # Beyond what the lens model reaches no plane is known: widen in the picture instead.
+        quad = np.array(corners, dtype=np.float64)
+        return _grown(quad + (quad - quad.mean(axis=0)) * 2 * (border + margin), MIN_MARGIN_PX)
+    to_rays = cv2.getPerspectiveTransform(_UNIT.astype(np.float32), rays.astype(np.float32)).astype(np.float64)
+    if not np.isfinite(to_rays).all():
+        return _grown(np.array(corners, dtype=np.float64), MIN_MARGIN_PX)
+
+    def at(widen: float) -> Array | None:
+        flat = _sides(_UNIT * (1 + 2 * widen))
+        xyz = np.column_stack([flat, np.ones(len(flat))]) @ to_rays.T
+        sign = np.sign(to_rays[2, 2])  # the marker's centre lies in front
+        return _projected(xyz * sign * 1000.0, camera)
+
+    return _with_margin(at(border), at(border + margin))
+
+
+def _outline_of_pose(
+    box: Box, side: BoxSide, marker: MarkerOnSide, pose: Pose, margin: float, camera: CameraModel
+) -> Array | None:
+    """Outline (N, 2) px of a configured marker where the object's pose puts it."""
+
+    def at(widen_mm: float) -> Array | None:
+        corners = clip_near(pose.apply(box.marker_corners(side, marker, widen_mm)))
+        return _projected(_sides(corners), camera) if len(corners) else None
+
+    return _with_margin(at(marker.border_mm), at(marker.border_mm + margin * marker.size_mm))
+
+
+def _sides(corners: Array) -> Array:
+    """Points along the sides of a polygon (N, 2 or 3)."""
+    following = np.roll(corners, -1, axis=0)
+    steps = corners[:, None, :] + (following - corners)[:, None, :] * _ALONG[None, :, None]
+    return np.asarray(steps.reshape(-1, corners.shape[1]))
+
+
+def _projected(xyz: Array, camera: CameraModel) -> Array | None:
+    pixels, front = camera.project(xyz)
+    return pixels[front] if front.any() else None
+
+
+def _with_margin(border: Array | None, widened: Array | None) -> Array | None:
+    """The widened outline, nowhere nearer than 3 px to the border's."""
+    if border is None or widened is None:
+        return None
+    return _hull(np.concatenate([widened, _grown(border, MIN_MARGIN_PX)]))
+
+
+def _grown(outline: Array, by_px: float) -> Array:
+    """A convex outline grown by ``by_px`` on all sides (Minkowski sum with an octagon around the circle)."""
+    return _hull((outline[:, None, :] + _AROUND[None, :, :] * by_px).reshape(-1, 2))
+
+
+def _hull(outline: Array) -> Array:
+    # Far-off points would lose the near ones' digits in cv2's single precision; the picture is all that counts.
+    bounded = np.clip(outline, -1e5, 1e5)
+    return np.asarray(cv2.convexHull(bounded.astype(np.float32)), dtype=np.float64).reshape(-1, 2)
+
+
+def _cut(
+    marker: int, because: Literal["detected", "pose"], outline: Array | None, camera: CameraModel
+) -> list[ErasedPolygon]:
+    """The part of an outline that lies in the picture (with one pixel around it, for pixels cut in half)."""
+    if outline is None or not np.isfinite(outline).all():
+        return []
+    for axis, limit, sign in ((0, -1.0, 1), (0, camera.width, -1), (1, -1.0, 1), (1, camera.height, -1)):
+        outline = _clip(outline, axis, limit, sign)
+        if len(outline) < 3:
+            return []
+    return [ErasedPolygon(marker=marker, because=because, polygon=points(outline))]
+
+
+def _clip(polygon: Array, axis: int, limit: float, sign: int) -> Array:
+    """A convex polygon (N, 2) cut at a line parallel to an axis (Sutherland and Hodgman 1974)."""
+    kept: list[Array] = []
+    inside = (polygon[:, axis] - limit) * sign >= 0
+    for i, here in enumerate(polygon):
+        following = (i + 1) % len(polygon)
+        if inside[i]:
+            kept.append(here)
+        if inside[i] != inside[following]:
+            there = polygon[following]
+            share = (limit - here[axis]) / (there[axis] - here[axis])
+            kept.append(here + (there - here) * share)
+    return np.array(kept, dtype=np.float64).reshape(-1, 2)
