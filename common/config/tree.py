@@ -151,7 +151,8 @@ def _check_nesting(text: str) -> None:
         elif isinstance(event, CollectionEndEvent):
             depth -= 1
         if depth > MAX_DEPTH:
-            raise _TooDeepError(event.start_mark.line + 1)
+            mark = event.start_mark
+            raise _TooDeepError(0 if mark is None else mark.line + 1)
 
 
 class _TooDeepError(Exception):
