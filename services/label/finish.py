@@ -16,15 +16,16 @@ from multiprocessing import get_context
 from pathlib import Path
 
 import cv2
-from common.log import get
 
 from common.config import Rig, load_rig
 from common.frames import SampleSlots
-from common.geometry import CameraModel, Pose
+from common.geometry import CameraModel
 from common.labels import CameraLabel, Erased, LeftOut, ObjectLabel
+from common.log import get
 from common.messages import DetectedMarker
 from services.label.inpaint import erase, regions
 from services.label.labelling import Labeller
+from services.label.pose import Prior
 
 _NICE = 10
 _PR_SET_PDEATHSIG = 1
@@ -40,7 +41,7 @@ class Job:
     slot: int
     camera: CameraLabel
     markers: tuple[DetectedMarker, ...]
-    previous: dict[str, Pose]
+    previous: dict[str, Prior]
     mono_ns: int
 
 
@@ -134,7 +135,7 @@ class _Worker:
 
     def slots(self, ring: str) -> SampleSlots:
         if ring not in self.rings:
-            self.rings[ring] = SampleSlots(ring)
+            self.rings[ring] = SampleSlots(ring, writable=True)
             while len(self.rings) > 16:
                 self.rings.pop(next(iter(self.rings))).close()
         return self.rings[ring]
@@ -162,9 +163,7 @@ def _finish(job: Job) -> Finished:
     camera = CameraModel.from_label(job.camera)
     bgr = _worker.slots(job.ring).view(job.slot).bgr
     labelled = _worker.labeller.label_once(job.markers, camera, bgr, previous=job.previous)
-    polygons = regions(
-        labelled.objects, job.markers, _worker.labeller.boxes, camera, margin=options.margin, left_out=labelled.left_out
-    )
+    polygons = regions(labelled.objects, labelled.left_out, _worker.labeller.boxes, camera, margin=options.margin)
     erase(bgr, polygons, method=options.method, radius_px=options.radius_px)
     erased = Erased(method=options.method, margin=f"{options.margin:g} of the marker, at least 3 px", polygons=polygons)
     keep = _worker.rig.config.pose.ambiguous == "keep"

@@ -9,11 +9,11 @@ from collections.abc import Callable
 from dataclasses import dataclass
 
 import numpy as np
-from common.log import get
 
 from common import clock
 from common.errors import FrameLostError, NoSpaceError
 from common.frames import FrameWriter, SampleRing, segment_name
+from common.log import get
 from common.messages import Detections, FrameRef, Preview
 from services.label.cameras import Camera
 from services.label.finish import Finished, Finisher, Job
@@ -94,7 +94,11 @@ class Previews:
 
     def _show(self, camera: str, width: int, height: int) -> _Show | None:
         show = self._shows.get(camera)
-        if show is not None and (show.work.width, show.work.height) != (width, height) and show.busy is None:
+        if (
+            show is not None
+            and (show.work.layout.width, show.work.layout.height) != (width, height)
+            and show.busy is None
+        ):
             self._drop(camera)
             show = None
         if show is None:

@@ -16,11 +16,11 @@ from common import VERSION, clock, ids
 from common.bus import OrderClient
 from common.errors import NoSpaceError, RefusedError
 from common.frames import FrameView, SampleRing, segment_name
-from common.geometry import Pose
 from common.labels import CameraLabel, DepthLabel, Label, ObjectLabel, SourceDetections
 from common.messages import Answer, Detections, FrameRef, StoreOrder
 from services.label.cameras import Camera
 from services.label.finish import Finished, Finisher, Job
+from services.label.pose import Prior
 from services.label.requests import Recording, Request, explain
 
 Taker = Request | Recording
@@ -73,7 +73,12 @@ class Samples:
         return ring is None or ring.free > 0
 
     def begin(
-        self, camera: Camera, detections: Detections, previous: dict[str, Pose], takers: list[Taker], finisher: Finisher
+        self,
+        camera: Camera,
+        detections: Detections,
+        previous: dict[str, Prior],
+        takers: list[Taker],
+        finisher: Finisher,
     ) -> Sample:
         """Copy the frame into a slot and give it to a worker.
 
@@ -108,7 +113,8 @@ class Samples:
         height, width = view.bgr.shape[:2]
         has_depth = view.depth is not None
         ring = self._rings.get(camera)
-        if ring is not None and (ring.width, ring.height, ring.has_depth) != (width, height, has_depth):
+        wanted = (width, height, has_depth)
+        if ring is not None and (ring.layout.width, ring.layout.height, ring.layout.has_depth) != wanted:
             if ring.free < self._slots:
                 raise RefusedError(explain("backlog_full"), code="backlog_full")
             self._rings.pop(camera).close()

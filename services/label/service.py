@@ -10,8 +10,6 @@ from __future__ import annotations
 import os
 import time
 
-from common.service.meters import Percentiles, Rate, Tally
-
 from common import clock
 from common.bus import OrderClient, OrderServer, Poller, Publisher, Return, Subscriber
 from common.config import load_rig
@@ -33,6 +31,7 @@ from common.messages import (
     StopOrder,
 )
 from common.service import Context, Report
+from common.service.meters import Percentiles, Rate, Tally
 from common.topics import CAMERA, DETECTIONS, LABELS, PREVIEW, RECORDING, SERVICE, SHARES
 from services.label.cameras import Camera
 from services.label.finish import Finisher
@@ -137,16 +136,21 @@ class LabelService:
         return Report(
             cameras=tuple(sorted(self._cameras)),
             rates={"labelled": self._labelled.per_second()},
-            dropped=dict(self._dropped),
+            dropped=self._dropped.as_dict(),
             numbers={
                 "backlog": float(len(self._samples.under_way)),
-                "latency_p50_ms": self._latency.at(50) / 1e6,
-                "latency_p99_ms": self._latency.at(99) / 1e6,
+                **self._latency_ms(),
                 "finisher_restarts": float(self._finisher.restarts),
             },
             faulty=bool(self._samples.under_way) and not self._store.available,
             last_error=None if self._store.available else explain("store_down"),
         )
+
+    def _latency_ms(self) -> dict[str, float]:
+        """From capture to label."""
+        if not len(self._latency):
+            return {}
+        return {f"latency_p{percent}_ms": self._latency.at(percent) / 1e6 for percent in (50, 99)}
 
     # --- orders ---------------------------------------------------------------------------------------
 
@@ -265,7 +269,7 @@ class LabelService:
         labels = Labels(ref=detections.ref, objects=labelled.objects, left_out=labelled.left_out, took_ns=now - began)
         self._publisher.publish(LABELS, (camera.name,), labels)
         self._recorder.frame(detections, labelled, self._begin)
-        self._labelled.tick()
+        self._labelled.mark()
         self._latency.add(now - detections.ref.captured_mono_ns)
         if self._previews.watched(camera.name):
             self._previews.begin(camera, detections, self._finisher)

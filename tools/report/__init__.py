@@ -1,0 +1,1 @@
+"""Pictures and tables for people: overlays, contact sheets. One for all tools."""
