@@ -1,0 +1,318 @@
+"""The command socket's table: one frozen model a command, what it does, what it answers. Pure.
+
+Requests are MessagePack maps with a field `command`. Nothing is guessed: an unknown command or field, a missing
+field, a wrong type or a value out of bounds is refused in one sentence that says what would be right.
+"""
+
+from __future__ import annotations
+
+import difflib
+import math
+from dataclasses import dataclass
+from typing import Annotated, Any, Literal, Self
+
+from pydantic import BaseModel, ConfigDict, Field, ValidationError, model_validator
+
+from common.errors import CodecError, RefusedError
+from common.ids import NAME_PATTERN
+from common.messages import unpack
+
+MAX_REQUEST_BYTES = 64 * 1024
+ALL_CAMERAS = "all"
+_SHOWN_CHARACTERS = 40
+
+Camera = Annotated[str, Field(pattern=NAME_PATTERN, description="a camera's name, or 'all'")]
+Recording = Annotated[str, Field(pattern=NAME_PATTERN)]
+Background = Annotated[bool, Field(description="record pictures *without* a configured object in view")]
+
+
+class Command(BaseModel):
+    """A request; strict, so that '3' is no number and 1 is no yes."""
+
+    model_config = ConfigDict(frozen=True, extra="forbid", strict=True)
+
+
+class StatusCommand(Command):
+    """How the whole stack is."""
+
+
+class RecordCommand(Command):
+    """Record samples now."""
+
+    camera: Camera
+    count: Annotated[int, Field(ge=1, le=1000, description="how many samples, for each camera")] = 1
+    interval_s: Annotated[float, Field(ge=0, le=3600, description="at least this long between two samples")] = 0.0
+    timeout_s: Annotated[float, Field(gt=0, le=3600, description="how long to wait for fitting frames")] = 5.0
+    frame: Annotated[int | None, Field(ge=1, description="only this frame, if it is still in the ring")] = None
+    background: Background = False
+
+    @model_validator(mode="after")
+    def _fits_together(self) -> Self:
+        if self.frame is not None and (self.count != 1 or self.camera == ALL_CAMERAS):
+            raise ValueError("'frame' names one frame of one camera: leave 'count' at 1 and name that camera")
+        waits = (self.count - 1) * self.interval_s
+        if waits and waits >= self.timeout_s:
+            raise ValueError(f"{self.count} samples every {self.interval_s:g} s need a 'timeout_s' above {waits:g}")
+        return self
+
+
+class StartCommand(Command):
+    """Begin a recording."""
+
+    camera: Camera
+    every_s: Annotated[float, Field(ge=0, le=86_400, description="a sample every so often; 0 = each frame")] = 0.0
+    until_count: Annotated[int | None, Field(ge=1, le=10_000_000, description="end by itself after so many")] = None
+    mode: Annotated[Literal["all", "auto"], Field(description="'auto' takes only new views")] = "all"
+    background: Background = False
+
+
+class StopCommand(Command):
+    """End a recording."""
+
+    recording: Annotated[Recording | None, Field(description="its id; without it, all that run")] = None
+
+
+class LedgerCommand(Command):
+    """What became of every frame of a recording."""
+
+    recording: Annotated[Recording, Field(description="its id, as 'start' answered it")]
+
+
+class PreviewCommand(Command):
+    """Watch a camera's inpainted preview."""
+
+    camera: Annotated[str, Field(pattern=NAME_PATTERN, description="a camera's name")]
+    inpaint: Annotated[bool, Field(description="with the markers erased")] = True
+
+
+class SessionCommand(Command):
+    """Open or continue a session."""
+
+    name: Annotated[str, Field(pattern=NAME_PATTERN, description="a folder's name below the dataset's root")]
+    new_if_different: Annotated[
+        bool, Field(description="where the rig differs from that session's, open name-2, name-3 ... instead")
+    ] = False
+
+
+class ReloadCommand(Command):
+    """Take over the changed rig file."""
+
+
+class HelpCommand(Command):
+    """This list."""
+
+
+@dataclass(frozen=True, slots=True)
+class Row:
+    """A row of the table: ``errors`` are the codes that this command can be refused with, beside `GENERAL_ERRORS`."""
+
+    name: str
+    model: type[Command]
+    words: str
+    answer: str
+    errors: tuple[str, ...] = ()
+
+
+GENERAL_ERRORS = (
+    "not_a_command",
+    "unknown_command",
+    "unknown_field",
+    "missing_field",
+    "wrong_type",
+    "out_of_bounds",
+    "busy",
+    "stopping",
+    "failed",
+)
+"""What any request can be refused with."""
+
+_LABEL = ("label_down", "timeout", "bad_message")
+_STORE = ("store_down", "timeout", "bad_message")
+
+COMMANDS: dict[str, Row] = {
+    row.name: row
+    for row in (
+        Row(
+            "status",
+            StatusCommand,
+            "services, cameras, recordings, backlog and free disk, as last heard",
+            "services, missing, cameras, recordings, backlog, disk, session, prefix, versions",
+        ),
+        Row(
+            "record",
+            RecordCommand,
+            "the first fitting frames captured from now on; answers once all are durable, or when time is up",
+            "recording, samples (names that are durable), pending (names whose saving is under way), cameras "
+            "(with 'all': camera to the reason why it failed)",
+            (
+                *_LABEL,
+                *("no_camera", "no_object", "ambiguous_pose", "incomplete", "object_in_view", "no_frame", "frame_gone"),
+                *("frame_lost", "backlog_full", "store_down", "disk_full", "read_only", "no_space", "cameras_failed"),
+            ),
+        ),
+        Row(
+            "start",
+            StartCommand,
+            "begin a recording; it ends by 'stop', by 'until_count' or at the end of a file camera",
+            "recording (its id), cameras, missing (cameras of the rig that are not there)",
+            (*_LABEL, "no_camera", "wrong_state", "store_down", "cameras_failed"),
+        ),
+        Row(
+            "stop",
+            StopCommand,
+            "end one recording, or all that run; answers once everything is durable",
+            "ledgers",
+            (*_LABEL, "no_recording", "store_down"),
+        ),
+        Row(
+            "ledger",
+            LedgerCommand,
+            "what became of every frame of a recording, while it runs and after",
+            "ledger",
+            (*_STORE, "no_recording"),
+        ),
+        Row(
+            "preview",
+            PreviewCommand,
+            "a lease of 5 s for inpainted previews of a camera; its viewer renews it",
+            "lease_s",
+            (*_LABEL, "no_camera"),
+        ),
+        Row(
+            "session",
+            SessionCommand,
+            "open or continue a session without a restart",
+            "session (the name that is open now)",
+            (*_STORE, "session_differs", "wrong_state", "disk_full", "read_only"),
+        ),
+        Row(
+            "reload",
+            ReloadCommand,
+            "check the rig file again; label, store and control take it over, or it is refused with all its mistakes",
+            "changed (sections of the rig file)",
+            (*_LABEL, "store_down", "bad_config", "needs_restart", "session_differs", "wrong_state"),
+        ),
+        Row("help", HelpCommand, "the commands with their fields", "commands"),
+    )
+}
+
+
+def parse(data: bytes) -> Command:
+    """The request in ``data``; raises RefusedError with a code of `GENERAL_ERRORS` and one sentence."""
+    try:
+        plain = unpack(data, MAX_REQUEST_BYTES)
+    except CodecError as error:
+        raise RefusedError(f"that is no command: {error.message}", code="not_a_command") from error
+    if not isinstance(plain, dict) or not all(isinstance(key, str) for key in plain):
+        raise RefusedError('a command is a MessagePack map such as {"command": "status"}', code="not_a_command")
+    fields: dict[str, Any] = dict(plain)
+    if "command" not in fields:
+        raise RefusedError(f"the field 'command' is missing; it is one of {_listed(COMMANDS)}", code="missing_field")
+    name = fields.pop("command")
+    if not isinstance(name, str):
+        raise RefusedError(f"'command' must be a text, not {_shown(name)}", code="wrong_type")
+    row = COMMANDS.get(name)
+    if row is None:
+        raise RefusedError(
+            f"there is no command {_shown(name)}{_suggestion(name, COMMANDS)}; there are {_listed(COMMANDS)}",
+            code="unknown_command",
+        )
+    try:
+        return row.model.model_validate(fields)
+    except ValidationError as error:
+        raise _refusal(row, error) from None
+
+
+def command_name(command: Command) -> str:
+    """The name under which a parsed request stands in the table."""
+    return next(row.name for row in COMMANDS.values() if row.model is type(command))
+
+
+def help_answer() -> dict[str, Any]:
+    """What `help` answers: each command with its fields (type, default, words), its answer and its refusals."""
+    return {"commands": {row.name: _described(row) for row in COMMANDS.values()}}
+
+
+def _described(row: Row) -> dict[str, Any]:
+    schema = row.model.model_json_schema()
+    required = set(schema.get("required", ()))
+    fields = {
+        name: {
+            "type": type_words(part),
+            "required": name in required,
+            **({} if name in required else {"default": part.get("default")}),
+            "words": part.get("description", ""),
+        }
+        for name, part in schema.get("properties", {}).items()
+    }
+    return {"words": row.words, "fields": fields, "answer": row.answer, "errors": list(row.errors)}
+
+
+def type_words(part: dict[str, Any]) -> str:
+    """A field's type and bounds in words, from its JSON Schema: ``a whole number 1..1000``."""
+    if "anyOf" in part:
+        kinds = [type_words(each) for each in part["anyOf"] if each.get("type") != "null"]
+        return " or ".join(kinds) + ", or nil"
+    if "pattern" in part:
+        return "a name (letters, digits, '.', '_', '-')"
+    if "enum" in part:
+        return " or ".join(f"'{value}'" for value in part["enum"])
+    word = {"string": "a text", "integer": "a whole number", "number": "a number", "boolean": "true or false"}[
+        part["type"]
+    ]
+    low = part.get("minimum", part.get("exclusiveMinimum"))
+    high = part.get("maximum")
+    if low is None and high is None:
+        return word
+    above = "above " if "exclusiveMinimum" in part else ""
+    return f"{word} {above}{low:g}..{high:g}" if high is not None else f"{word} from {above}{low:g}"
+
+
+_WRONG_VALUE = {"greater_than", "greater_than_equal", "less_than", "less_than_equal", "literal_error", "value_error"}
+_OUT_OF_BOUNDS = _WRONG_VALUE | {"string_pattern_mismatch", "finite_number"}
+
+
+def _refusal(row: Row, error: ValidationError) -> RefusedError:
+    """All mistakes of a request in one refusal; the code is the first one's."""
+    code, sentences = "", []
+    known = list(row.model.model_fields)
+    for mistake in error.errors(include_url=False, include_context=False):
+        field = str(mistake["loc"][0]) if mistake["loc"] else ""
+        if mistake["type"] == "extra_forbidden":
+            its_code = "unknown_field"
+            has = f"it has {_listed(known)}" if known else "it has no fields"
+            sentences.append(f"'{row.name}' has no field {_shown(field)}{_suggestion(field, known)}; {has}")
+        elif mistake["type"] == "missing":
+            its_code = "missing_field"
+            sentences.append(f"'{row.name}' needs the field '{field}'")
+        elif mistake["type"] == "value_error":
+            its_code = "out_of_bounds"
+            sentences.append(mistake["msg"].removeprefix("Value error, "))
+        else:
+            its_code = "out_of_bounds" if mistake["type"] in _OUT_OF_BOUNDS else "wrong_type"
+            sentences.append(f"'{field}' must be {_wanted(row, field)}, not {_shown(mistake['input'])}")
+        code = code or its_code
+    return RefusedError("; ".join(dict.fromkeys(sentences)), code=code)
+
+
+def _wanted(row: Row, field: str) -> str:
+    part = row.model.model_json_schema()["properties"][field]
+    words = part.get("description", "")
+    return type_words(part) + (f" ({words})" if words else "")
+
+
+def _suggestion(word: str, known: Any) -> str:
+    near = difflib.get_close_matches(word[:_SHOWN_CHARACTERS], list(known), n=1, cutoff=0.6)
+    return f"; did you mean '{near[0]}'?" if near else ""
+
+
+def _listed(names: Any) -> str:
+    return ", ".join(names)
+
+
+def _shown(value: object) -> str:
+    """A value as an error quotes it: short, on one line."""
+    if isinstance(value, float) and not math.isfinite(value):
+        return str(value)
+    text = ascii(value)
+    return text if len(text) <= _SHOWN_CHARACTERS else text[: _SHOWN_CHARACTERS - 3] + "..."
