@@ -89,8 +89,8 @@ class Camera(Protocol):
 class Rewindable(Protocol):
     """A camera that can begin again."""
 
-    def rewind(self) -> None:
-        """The next ``grab`` gives frame 0; raises CameraError if it is gone."""
+    def rewind(self, frame: int = 0) -> None:
+        """The next ``grab`` gives ``frame`` (from 0); raises CameraError if the camera is gone."""
 
 
 class Driver(Protocol):

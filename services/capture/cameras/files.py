@@ -1,0 +1,148 @@
+"""The ``files`` driver: pictures or a video from disk, played like a camera."""
+
+from __future__ import annotations
+
+from pydantic import ValidationError
+
+from common.config import Rig
+from common.config.models import CameraConfig, FilesOptions
+from common.errors import CameraError, ConfigError
+from common.geometry import CameraModel
+from common.labels import CameraLabel
+from services.capture.cameras.base import Description, EndOfStreamError, FrameSkippedError, Grabbed
+from services.capture.cameras.file_sources import FileFrame, Source, open_source
+from services.capture.cameras.intrinsics import fit_to_size, label_of
+from services.capture.cameras.pacing import Pacer
+
+PICTURES_PER_S = 10.0
+"""At which rate pictures are shown that name none themselves."""
+
+
+class FilesCamera:
+    """Plays files; see ``FilesOptions`` for its keys. Raises ConfigError, CameraError as a driver does.
+
+    Without ``loop`` and with ``begin: on_start`` it waits for a recording and then plays from frame 0. With
+    ``pace: consumer`` it gives frames as fast as they are asked for and says so in its description.
+    A picture that can't be read is skipped as ``unreadable``, one that doesn't fit the calibration as ``wrong_size``.
+    """
+
+    def __init__(self, name: str, config: CameraConfig, rig: Rig) -> None:
+        self._name = name
+        self._config = config
+        self._options = _options(name, config)
+        self._calibration = rig.calibration(name)
+        self._depth = self._options.depth_path is not None
+        depth_path = None if self._options.depth_path is None else rig.resolve(self._options.depth_path)
+        self._source: Source | None = open_source(rig.resolve(self._options.path), depth_path)
+        self._known: dict[tuple[int, int], Description] = {}
+        self._fps = config.fps or self._source.fps or PICTURES_PER_S
+        self._pacer = Pacer(self._fps)
+        self._delivered = False
+        self._newest_ns = 0
+        self._earlier_loops_ns = 0
+        try:
+            self._description = self._describe_first(self._source)
+            self._source.rewind(0)
+        except CameraError:
+            self.close()
+            raise
+
+    def grab(self, timeout_s: float) -> Grabbed:
+        """See Camera."""
+        source = self._opened()
+        if self._options.pace == "fps" and not self._pacer.wait(timeout_s):
+            raise TimeoutError(f"{self._name}: the next frame is due later ({self._fps:g} frames/s)")
+        frame = source.read()
+        if frame is None and self._options.loop and self._delivered:
+            self._delivered = False
+            self._earlier_loops_ns = self._newest_ns + int(1e9 / self._fps)
+            source.rewind(0)
+            frame = source.read()
+        if frame is None:
+            raise EndOfStreamError(f"{self._name}: all of {self._options.path} was played")
+        self._description = self._fitting(frame)
+        self._delivered = True
+        if frame.device_ns is None:
+            return Grabbed(frame.bgr, frame.depth, None, frame.name)
+        self._newest_ns = self._earlier_loops_ns + frame.device_ns
+        return Grabbed(frame.bgr, frame.depth, self._newest_ns, frame.name)
+
+    def describe(self) -> Description:
+        """See Camera."""
+        return self._description
+
+    def rewind(self, frame: int = 0) -> None:
+        """See Rewindable."""
+        self._opened().rewind(frame)
+        self._earlier_loops_ns = 0
+        self._pacer.restart()
+
+    def close(self) -> None:
+        """See Camera."""
+        if self._source is not None:
+            self._source.close()
+            self._source = None
+
+    def _opened(self) -> Source:
+        if self._source is None:
+            raise CameraError(f"camera {self._name} is closed")
+        return self._source
+
+    def _describe_first(self, source: Source) -> Description:
+        """The description that fits the first picture that can be used; CameraError if there is none."""
+        first: FrameSkippedError | None = None
+        while True:
+            try:
+                frame = source.read()
+                if frame is None:
+                    raise CameraError(first.message if first else f"{self._options.path} holds no frame")
+                return self._fitting(frame)
+            except FrameSkippedError as error:
+                first = first or error
+
+    def _fitting(self, frame: FileFrame) -> Description:
+        height, width = frame.bgr.shape[:2]
+        if (width, height) not in self._known:
+            self._known[width, height] = self._describe(width, height, frame.name)
+        return self._known[width, height]
+
+    def _describe(self, width: int, height: int, name: str) -> Description:
+        wanted = (self._config.width or width, self._config.height or height)
+        if wanted != (width, height):
+            raise FrameSkippedError(
+                f"{name} has {width}x{height} pixels, camera {self._name} is configured for {wanted[0]}x{wanted[1]}; "
+                "leave width and height out: files have the size they have",
+                "wrong_size",
+            )
+        camera, warnings = self._intrinsics(width, height, name)
+        return Description(
+            camera=camera,
+            fps=self._fps,
+            depth_unit_mm=self._options.depth_unit_mm if self._depth else None,
+            paced=self._options.pace == "consumer",
+            waits_for_start=not self._options.loop and self._options.begin == "on_start",
+            warnings=warnings,
+        )
+
+    def _intrinsics(self, width: int, height: int, name: str) -> tuple[CameraLabel, tuple[str, ...]]:
+        if self._calibration is None:
+            warning = (
+                f"camera {self._name} has no calibration: its intrinsics are guessed, so distances are too; "
+                "run `tagmill calibrate` and name the file as `calibration`"
+            )
+            return label_of(self._name, CameraModel.guess(width, height), intrinsics_from="guess"), (warning,)
+        try:
+            return fit_to_size(self._calibration, width, height)
+        except CameraError as error:
+            raise FrameSkippedError(f"{name}: {error.message}", "wrong_size") from error
+
+
+def _options(name: str, config: CameraConfig) -> FilesOptions:
+    try:
+        return FilesOptions.model_validate(config.options)
+    except ValidationError as error:
+        problems = tuple(
+            f"cameras.{name}.{'.'.join(str(part) for part in item['loc'])}: {item['msg']}"
+            for item in error.errors(include_url=False)
+        )
+        raise ConfigError(f"camera {name} can't be used: {'; '.join(problems)}", problems) from error

@@ -1,0 +1,60 @@
+"""Intrinsics for the picture size that a camera really gives."""
+
+from __future__ import annotations
+
+from typing import Literal
+
+from common.errors import CameraError
+from common.geometry import CameraModel
+from common.labels import CameraLabel
+
+_SAME_ASPECT = 0.005
+"""Two aspect ratios are the same if they differ by less than this share (sizes are whole pixels)."""
+
+
+def label_of(
+    name: str,
+    camera: CameraModel,
+    *,
+    intrinsics_from: Literal["calibration", "factory", "truth", "guess"],
+    serial: str | None = None,
+) -> CameraLabel:
+    """A camera model in the form in which a camera describes itself."""
+    return CameraLabel.model_validate(
+        {
+            "name": name,
+            "width": camera.width,
+            "height": camera.height,
+            "matrix": tuple(tuple(float(value) for value in row) for row in camera.matrix),
+            "distortion": tuple(float(value) for value in camera.distortion),
+            "model": camera.model,
+            "intrinsics_from": intrinsics_from,
+            "serial": serial,
+        }
+    )
+
+
+def fit_to_size(calibration: CameraLabel, width: int, height: int) -> tuple[CameraLabel, tuple[str, ...]]:
+    """The calibration for pictures of ``width`` x ``height``, and what to tell the operator about it.
+
+    Pictures of the same aspect ratio as the calibration's are taken for scaled ones. Raises CameraError for others:
+    cut pictures have a principal point that nobody knows.
+    """
+    if (calibration.width, calibration.height) == (width, height):
+        return calibration, ()
+    across, down = width / calibration.width, height / calibration.height
+    sizes = (
+        f"the calibration of {calibration.name} is for {calibration.width}x{calibration.height}, "
+        f"its pictures are {width}x{height}"
+    )
+    if abs(across / down - 1) > _SAME_ASPECT:
+        raise CameraError(f"{sizes}; calibrate at the size that is used")
+    (fx, skew, cx), (_, fy, cy), last = calibration.matrix
+    # Integer = pixel centre, so it is the picture's edge at -0.5 that stays where it is.
+    matrix = (
+        (fx * across, skew * across, (cx + 0.5) * across - 0.5),
+        (0.0, fy * down, (cy + 0.5) * down - 0.5),
+        last,
+    )
+    scaled = calibration.model_copy(update={"width": width, "height": height, "matrix": matrix})
+    return scaled, (f"{sizes}: scaled by {across:.3f}; true only if the camera scales its picture and doesn't cut it",)
