@@ -1,0 +1,142 @@
+"""The cameras that detect knows: the newest frame that waits, the ring it lies in, and what was passed over."""
+
+from __future__ import annotations
+
+from typing import Literal
+
+import cv2
+import numpy as np
+
+from common.errors import FrameLostError
+from common.frames import FrameReader
+from common.messages import CameraState, FrameRef
+from common.service.meters import Rate, Tally
+from services.detect.markers.base import Grey
+
+Reason = Literal["superseded", "stale", "frame_lost"]
+
+GONE_AFTER_NS = 5_000_000_000
+"""A camera that has said nothing for so long is gone: its ring is unmapped."""
+SHORTEST_HISTORY_NS = 500_000_000
+
+
+class Camera:
+    """One camera as detect sees it.
+
+    ``skipped`` counts, for as long as this process lives, the captured frames that gave no detections:
+    ``superseded`` by a newer one (here, in a queue, or lost on the bus), ``stale`` (older than the ring's
+    history when it came) or ``frame_lost`` (overwritten while it was read, or its ring gone).
+    """
+
+    def __init__(self, name: str) -> None:
+        self.name = name
+        self.state: CameraState | None = None
+        self.skipped = Tally()
+        self.rate = Rate()
+        self._waiting: FrameRef | None = None
+        self._boot = ""
+        self._last_frame = 0
+        self._last_count = 0
+        self._heard_ns = 0
+        self._reader: FrameReader | None = None
+        self._grey: Grey | None = None
+
+    @property
+    def ready(self) -> bool:
+        """Whether a frame waits and the camera has said what it is."""
+        return self._waiting is not None and self.state is not None
+
+    @property
+    def paced(self) -> bool:
+        """Whether the camera waits for each frame's label."""
+        return self.state is not None and self.state.paced
+
+    def heard(self, state: CameraState, now_ns: int) -> None:
+        """Take over what the camera says of itself; an outdated ring is unmapped."""
+        self.state = state
+        self._heard_ns = now_ns
+        if self._reader is not None and self._reader.name != state.ring:
+            self.unmap()
+
+    def announced(self, ref: FrameRef, now_ns: int) -> None:
+        """A frame is in the ring; it takes the place of one that still waits."""
+        self._heard_ns = now_ns
+        newest = self._waiting
+        if self._boot == ref.boot and ref.frame <= self._last_frame:
+            return
+        if newest is None or newest.boot != ref.boot or newest.frame < ref.frame:
+            self._waiting = ref
+
+    def next(self, now_ns: int, slots: int) -> FrameRef | None:
+        """Take the frame that waits; None if it is stale. ``slots`` is the ring's length as configured."""
+        ref, self._waiting = self._waiting, None
+        if ref is None:
+            return None
+        self._account(ref)
+        if now_ns - ref.captured_mono_ns > self._history_ns(ref, slots):
+            self._skip(ref, "stale")
+            return None
+        return ref
+
+    def grey(self, ref: FrameRef) -> Grey | None:
+        """The frame as a grey picture (H, W), valid until the next call; None, and counted, if it is lost."""
+        try:
+            if self._reader is None or self._reader.name != ref.ring:
+                self.unmap()
+                self._reader = FrameReader(ref.ring)
+            with self._reader.view(ref.frame) as view:
+                grey = cv2.cvtColor(view.bgr, cv2.COLOR_BGR2GRAY, self._grey_buffer(view.bgr.shape))
+        except FrameLostError:
+            # Perhaps its owner died and the mapping is all that is left of the ring: look it up anew next time.
+            self.unmap()
+            self._skip(ref, "frame_lost")
+            return None
+        return np.asarray(grey, dtype=np.uint8)
+
+    def gone(self, now_ns: int) -> bool:
+        """Whether the camera has fallen silent."""
+        return now_ns - self._heard_ns > GONE_AFTER_NS
+
+    def forget(self) -> None:
+        """The camera vanished: keep only its account."""
+        self.state = None
+        self._waiting = None
+        self._grey = None
+        self.unmap()
+
+    def handed_over(self) -> None:
+        """Another instance serves it: the frames from here on are not ours to account for."""
+        self._boot = ""
+        self.unmap()
+
+    def unmap(self) -> None:
+        """Let go of the ring. May be called again."""
+        if self._reader is not None:
+            self._reader.close()
+            self._reader = None
+
+    def _account(self, ref: FrameRef) -> None:
+        """Count the captured frames between the last one taken and this one."""
+        if ref.boot != self._boot:
+            # Of the first life that is seen, frames before the first don't count: they were before our time.
+            self._last_count = 0 if self._boot else max(ref.count - 1, 0)
+            self._boot = ref.boot
+        if not ref.preview:
+            self.skipped.add("superseded", max(ref.count - self._last_count - 1, 0))
+            self._last_count = ref.count
+        self._last_frame = ref.frame
+
+    def _skip(self, ref: FrameRef, reason: Reason) -> None:
+        if not ref.preview:
+            self.skipped.add(reason)
+
+    def _history_ns(self, ref: FrameRef, slots: int) -> float:
+        """How long a frame lives in the ring; without end where the camera doesn't go on by itself."""
+        if self.state is None or self.state.paced or ref.preview:
+            return float("inf")
+        return max(slots / self.state.fps * 1e9, SHORTEST_HISTORY_NS)
+
+    def _grey_buffer(self, shape: tuple[int, ...]) -> Grey:
+        if self._grey is None or self._grey.shape != shape[:2]:
+            self._grey = np.empty(shape[:2], dtype=np.uint8)
+        return self._grey

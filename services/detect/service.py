@@ -1,0 +1,179 @@
+"""The detect process: from frames to markers.
+
+Consumes  FRAME, CAMERA, SHARES; the pixels in the cameras' rings, in place.
+Produces  DETECTIONS (source ``markers``) for each frame that it looked at, with the account of those it didn't.
+States    running.
+"""
+
+from __future__ import annotations
+
+from common import clock
+from common.bus import Poller, Publisher, Subscriber
+from common.markers import family
+from common.messages import MARKERS, CameraState, Detections, FrameAnnounced, Shares
+from common.service import Context, Report
+from common.service.meters import Percentiles, Rate
+from common.topics import CAMERA, DETECTIONS, FRAME, SHARES
+from services.detect.cameras import Camera
+from services.detect.markers import MarkerDetector, open_detector
+
+
+class DetectService:
+    """One detect process; several share the cameras by camera, never by frame.
+
+    Always the newest frame of a camera, and the cameras in turn: of those that have a frame waiting, the
+    one that was served longest ago is next.
+    """
+
+    def __init__(self, context: Context) -> None:
+        self._context = context
+        self._log = context.log
+        self._config = context.rig.config
+        self._cameras: dict[str, Camera] = {}
+        self._turn: list[str] = []
+        self._shares: Shares | None = None
+        self._rate = Rate()
+        self._latency_ns = Percentiles()
+        self._took_ns = Percentiles()
+        self._subscriber: Subscriber | None = None
+        self._publisher: Publisher | None = None
+
+    def open(self) -> None:
+        """Open the detectors and connect to the bus; raises ConfigError for an unusable marker family."""
+        context = self._context
+        markers = family(self._config.markers.family, context.rig.folder)
+        self._fast: MarkerDetector = open_detector(markers, context.rig.folder)
+        self._thorough: MarkerDetector = open_detector(markers, context.rig.folder, thorough=True)
+        self._publisher = Publisher(context.endpoints, context.id, context.boot)
+        self._subscriber = Subscriber(context.endpoints)
+        for topic in (FRAME, CAMERA, SHARES):
+            self._subscriber.subscribe(topic)
+        self._poller = Poller(self._subscriber)
+
+    def step(self, timeout_s: float) -> None:
+        """One round: the news, then one frame of the camera whose turn it is."""
+        waiting = any(camera.ready for camera in self._served())
+        self._poller.wait(0.0 if waiting else timeout_s)
+        self._listen()
+        self._forget_silent()
+        camera = next((camera for camera in self._served() if camera.ready), None)
+        if camera is not None:
+            self._turn.remove(camera.name)
+            self._turn.append(camera.name)
+            self._next_frame(camera)
+
+    def drain(self) -> bool:
+        """Nothing is under way between two rounds."""
+        return True
+
+    def close(self) -> None:
+        """Unmap the rings, close the sockets; idempotent."""
+        for camera in self._cameras.values():
+            camera.unmap()
+        for part in (self._subscriber, self._publisher):
+            if part is not None:
+                part.close()
+        self._subscriber = self._publisher = None
+
+    def report(self) -> Report:
+        """What the heartbeat says: rates a camera, frames passed over by reason, latency from capture on."""
+        dropped: dict[str, int] = {}
+        for camera in self._cameras.values():
+            for reason, count in camera.skipped.as_dict().items():
+                dropped[reason] = dropped.get(reason, 0) + count
+        if self._subscriber is not None and self._subscriber.bad:
+            dropped["garbage"] = self._subscriber.bad
+        if self._publisher is not None and self._publisher.dropped:
+            dropped["bus_full"] = self._publisher.dropped
+        present = [camera for camera in self._served() if camera.state is not None]
+        rates = {f"detected/{camera.name}": camera.rate.per_second() for camera in present}
+        return Report(
+            cameras=tuple(sorted(camera.name for camera in present)),
+            rates={"detected": self._rate.per_second(), **rates},
+            dropped=dropped,
+            numbers=self._numbers(),
+        )
+
+    def _numbers(self) -> dict[str, float]:
+        if not len(self._took_ns):
+            return {}
+        return {
+            "latency_p50_ms": self._latency_ns.at(50) / 1e6,
+            "latency_p99_ms": self._latency_ns.at(99) / 1e6,
+            "took_p50_ms": self._took_ns.at(50) / 1e6,
+            "took_p99_ms": self._took_ns.at(99) / 1e6,
+        }
+
+    # --- news -----------------------------------------------------------------------------------------
+
+    def _listen(self) -> None:
+        assert self._subscriber is not None
+        now = clock.monotonic_ns()
+        for received in self._subscriber.receive():
+            match received.message:
+                case FrameAnnounced(ref=ref):
+                    self._camera(ref.camera).announced(ref, now)
+                case CameraState() as state:
+                    self._hear_camera(state, now)
+                case Shares() as shares:
+                    self._shares = shares
+                    self._hand_over()
+
+    def _hear_camera(self, state: CameraState, now: int) -> None:
+        camera = self._camera(state.camera.name)
+        if camera.state is None and self._serves(camera.name):
+            self._log.info("camera.known", camera=camera.name, paced=state.paced)
+        camera.heard(state, now)
+
+    def _camera(self, name: str) -> Camera:
+        if name not in self._cameras:
+            self._cameras[name] = Camera(name)
+            self._turn.append(name)
+        return self._cameras[name]
+
+    def _serves(self, name: str) -> bool:
+        if self._config.workers.detect == 1:
+            return True
+        return self._shares is not None and self._shares.detect.get(name) == self._context.instance
+
+    def _served(self) -> list[Camera]:
+        """The cameras that this instance serves, the one that was served longest ago first."""
+        return [self._cameras[name] for name in self._turn if self._serves(name)]
+
+    def _hand_over(self) -> None:
+        """Let go of the rings of cameras that another instance serves."""
+        for camera in self._cameras.values():
+            if not self._serves(camera.name):
+                camera.handed_over()
+
+    def _forget_silent(self) -> None:
+        now = clock.monotonic_ns()
+        for camera in self._cameras.values():
+            if camera.state is not None and camera.gone(now):
+                camera.forget()
+                self._log.info("camera.vanished", camera=camera.name)
+
+    # --- frames ---------------------------------------------------------------------------------------
+
+    def _next_frame(self, camera: Camera) -> None:
+        began = clock.monotonic_ns()
+        ref = camera.next(began, self._config.ring.slots)
+        if ref is None:
+            return
+        grey = camera.grey(ref)
+        if grey is None:
+            return
+        detector = self._thorough if camera.paced else self._fast
+        markers = tuple(detector.detect(grey))
+        now = clock.monotonic_ns()
+        self._publish(
+            camera, Detections(ref=ref, markers=markers, took_ns=now - began, skipped=camera.skipped.as_dict())
+        )
+        camera.rate.mark()
+        self._rate.mark()
+        self._took_ns.add(now - began)
+        self._latency_ns.add(now - ref.captured_mono_ns)
+
+    def _publish(self, camera: Camera, detections: Detections) -> None:
+        assert self._publisher is not None
+        self._publisher.publish(DETECTIONS, (camera.name, MARKERS), detections)
