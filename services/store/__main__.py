@@ -1,0 +1,9 @@
+"""``python -m services.store``."""
+
+import sys
+
+from common.service import main
+from services.store.service import StoreService
+
+if __name__ == "__main__":  # the worker processes import this module
+    sys.exit(main(StoreService, "store"))

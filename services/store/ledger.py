@@ -1,0 +1,205 @@
+"""The book of a session while it is open: cameras, recordings and their accounts. Pure; no disk, no socket.
+
+The store counts ``recorded`` itself, from samples that are durable; so it is true even if the label process died
+between a sample's answer and its next account.
+"""
+
+from __future__ import annotations
+
+from collections import Counter
+from collections.abc import Mapping
+from typing import Any
+
+from common.clock import iso_utc
+from common.dataset.session import RecordingProgress, SessionCamera, SessionFile, StackLife
+from common.errors import RefusedError
+from common.labels import CameraLabel, CameraLedger, Ledger, RecordingSpec
+from common.messages import LedgerOrder
+
+UNKNOWN_RECORDING = "no_recording"
+_ALIVE = ("running", "finishing")
+_CALIBRATION = ("width", "height", "model", "matrix", "distortion")
+
+
+class Book:
+    """``session.json`` in memory. ``revision`` grows with every change that must get to the disk."""
+
+    def __init__(self, file: SessionFile, recorded: Mapping[str, Counter[str]], life: StackLife) -> None:
+        self._file = file
+        self._cameras = dict(file.cameras)
+        self._recordings = dict(file.recordings)
+        self._progress = dict(file.progress)
+        self._recorded = {recording: Counter(counts) for recording, counts in recorded.items()}
+        self._life = life
+        self._met: dict[str, int] = {}
+        self.revision = 0
+
+    @property
+    def name(self) -> str:
+        """The session's name."""
+        return self._file.name
+
+    @property
+    def rig(self) -> dict[str, Any]:
+        """The session's rig, in plain values."""
+        return self._file.rig
+
+    def snapshot(self) -> SessionFile:
+        """What is to be written now."""
+        return self._file.model_copy(
+            update={
+                "cameras": dict(self._cameras),
+                "recordings": {name: self._with_counts(ledger) for name, ledger in self._recordings.items()},
+                "progress": dict(self._progress),
+            }
+        )
+
+    def take_rig(self, rig: dict[str, Any]) -> None:
+        """Take over a rig without differences; cameras that it no longer names stay known."""
+        cameras = {**self._file.rig.get("cameras", {}), **rig.get("cameras", {})}
+        merged = {**rig, "cameras": cameras}
+        if merged != self._file.rig:
+            self._file = self._file.model_copy(update={"rig": merged})
+            self.revision += 1
+
+    # --- cameras ------------------------------------------------------------------------------------------
+
+    def camera_differences(self, camera: CameraLabel) -> tuple[str, ...]:
+        """How a camera's calibration differs from the one this session has of it; empty for a new camera."""
+        history = self._cameras.get(camera.name)
+        if not history:
+            return ()
+        known = history[-1].camera
+        return tuple(
+            f"camera {camera.name}: {field} was {getattr(known, field)}, is {getattr(camera, field)}"
+            for field in _CALIBRATION
+            if getattr(known, field) != getattr(camera, field)
+        )
+
+    def meet_camera(self, seen: SessionCamera) -> int:
+        """Append a camera's description if it is news; returns the revision that holds it."""
+        name = seen.camera.name
+        history = self._cameras.get(name, ())
+        if not (history and _same_description(history[-1], seen)):
+            self._cameras[name] = (*history, seen)
+            self.revision += 1
+            self._met[name] = self.revision
+        return self._met.get(name, 0)
+
+    # --- recordings ---------------------------------------------------------------------------------------
+
+    def sample_stored(self, recording: str | None, camera: str) -> None:
+        """A sample became durable."""
+        if recording is None:
+            return
+        self._recorded.setdefault(recording, Counter())[camera] += 1
+        ledger = self._recordings.get(recording)
+        # A running recording's next account brings the count to the disk, and the next start counts anew.
+        if ledger is not None and ledger.phase not in _ALIVE:
+            self.revision += 1
+
+    def merge(self, order: LedgerOrder, now_wall_ns: int) -> Ledger:
+        """Put one camera's account into its recording; returns the recording's ledger.
+
+        An account older than the known one (a repeated order) changes no number. The recording has ended when
+        each of its cameras has.
+        """
+        name, camera = order.spec.recording, order.camera
+        ledger = self._recordings.get(name) or Ledger(spec=order.spec, phase="running", cameras={})
+        progress = self._progress.get(name) or RecordingProgress(life=self._life)
+        known = ledger.cameras.get(camera)
+        if known is None or order.account.captured >= known.captured:
+            ledger = ledger.model_copy(update={"cameras": {**ledger.cameras, camera: order.account}})
+        if order.ended and camera not in progress.ended:
+            progress = progress.model_copy(update={"ended": (*progress.ended, camera)})
+        if order.why and ledger.phase in _ALIVE:
+            ledger = ledger.model_copy(update={"why": order.why})
+        if ledger.phase in _ALIVE and _all_ended(ledger.spec, ledger, progress):
+            ledger = ledger.model_copy(update={"phase": "ended", "ended_at": iso_utc(now_wall_ns)})
+        self._recordings[name], self._progress[name] = ledger, progress
+        self.revision += 1
+        return self._with_counts(ledger)
+
+    def query(self, recording: str | None) -> tuple[Ledger, ...]:
+        """One recording's ledger, or those of all that run; raises RefusedError for an unknown one."""
+        if recording is None:
+            return tuple(self._with_counts(self._recordings[name]) for name in self.running())
+        ledger = self._recordings.get(recording)
+        if ledger is None:
+            raise RefusedError(f"session {self.name} has no recording '{recording}'", code=UNKNOWN_RECORDING)
+        return (self._with_counts(ledger),)
+
+    def running(self) -> tuple[str, ...]:
+        """The recordings that have not ended."""
+        return tuple(name for name, ledger in self._recordings.items() if ledger.phase in _ALIVE)
+
+    def close_earlier(self, now_wall_ns: int) -> tuple[str, ...]:
+        """Close what an earlier life of the stack left running; returns the recordings' names.
+
+        Frames without a fate are counted as dropped (``interrupted``): nobody is left to tell theirs.
+        """
+        closed = []
+        for name in self.running():
+            progress = self._progress.get(name)
+            if progress is not None and progress.life == self._life:
+                continue
+            ledger = self._with_counts(self._recordings[name])
+            self._recordings[name] = ledger.model_copy(
+                update={
+                    "phase": "interrupted",
+                    "ended_at": iso_utc(now_wall_ns),
+                    "why": "the stack ended before the recording did",
+                    "cameras": {camera: _settle(account) for camera, account in ledger.cameras.items()},
+                }
+            )
+            closed.append(name)
+        if closed:
+            self.revision += 1
+        return tuple(closed)
+
+    def _with_counts(self, ledger: Ledger) -> Ledger:
+        counted = self._recorded.get(ledger.spec.recording)
+        if not counted:
+            return ledger
+        cameras = {
+            camera: _with_count(ledger.cameras.get(camera, CameraLedger()), counted.get(camera, 0))
+            for camera in {**ledger.cameras, **counted}
+        }
+        return ledger.model_copy(update={"cameras": cameras})
+
+
+def _with_count(account: CameraLedger, counted: int) -> CameraLedger:
+    # The account may be ahead too: a sample that two recordings share carries the name of only one of them.
+    more = counted - account.recorded
+    if more <= 0:
+        return account
+    told = counted + sum(account.refused.values()) + sum(account.dropped.values())
+    return account.model_copy(
+        update={
+            "recorded": counted,
+            "pending": max(account.pending - more, 0),
+            "captured": max(account.captured, told),
+        }
+    )
+
+
+def _settle(account: CameraLedger) -> CameraLedger:
+    told = account.recorded + sum(account.refused.values()) + sum(account.dropped.values())
+    lost = account.captured - told
+    dropped = {**account.dropped, "interrupted": account.dropped.get("interrupted", 0) + lost} if lost > 0 else None
+    return account.model_copy(
+        update={
+            "captured": max(account.captured, told),
+            "dropped": dropped or account.dropped,
+            "pending": 0,
+        }
+    )
+
+
+def _all_ended(spec: RecordingSpec, ledger: Ledger, progress: RecordingProgress) -> bool:
+    return {*spec.cameras, *ledger.cameras} <= set(progress.ended)
+
+
+def _same_description(known: SessionCamera, seen: SessionCamera) -> bool:
+    # driver and fps come from another message and may be missing at first; that alone is no news
+    return known.camera == seen.camera and known.depth_unit_mm == seen.depth_unit_mm

@@ -1,0 +1,88 @@
+"""What runs in a worker process: one sample from shared memory to the disk. Niced; gone with its parent."""
+
+from __future__ import annotations
+
+import ctypes
+import os
+import signal
+import time
+from collections import OrderedDict
+from dataclasses import dataclass
+from pathlib import Path
+
+import cv2
+
+from common.dataset.layout import LABELS
+from common.errors import FrameLostError, RefusedError
+from common.frames import SampleSlots
+from common.labels import Label
+from common.messages import ErrorInfo
+from services.store.disk import explain
+from services.store.locks import FolderLock
+from services.store.sample import is_stored, pictures_for, write_sample
+
+PIXELS_GONE = "pixels_gone"
+_NICE = 5
+_PR_SET_PDEATHSIG = 1
+_MOST_RINGS = 16
+
+
+@dataclass(frozen=True)
+class WriteJob:
+    """A sample to write into the session's folder: its label, and where its pixels are."""
+
+    session: Path
+    label: Label
+    ring: str
+    slot: int
+
+
+@dataclass(frozen=True)
+class Written:
+    """What became of a job: ``bytes`` written (0 if the sample was on the disk already), or an ``error``."""
+
+    bytes: int = 0
+    error: ErrorInfo | None = None
+
+
+def prepare(parent: int) -> None:
+    """Make this process a worker (the pool's initializer)."""
+    ctypes.CDLL(None, use_errno=True).prctl(_PR_SET_PDEATHSIG, signal.SIGKILL)
+    if os.getppid() != parent:  # it died before the line above
+        os._exit(1)
+    # In a process group of its own: a signal to the service's group is for the service, which then drains.
+    os.setpgid(0, 0)
+    signal.signal(signal.SIGINT, signal.SIG_IGN)
+    os.nice(_NICE)
+    cv2.setNumThreads(1)
+
+
+def write(job: WriteJob, reserve: int, delay_s: float) -> Written:
+    """Write one sample, leaving ``reserve`` bytes free; expected failures come back as ``error``."""
+    if delay_s:
+        time.sleep(delay_s)  # a slow disk, for tests (TAGMILL_STORE_DELAY_MS)
+    try:
+        with FolderLock(job.session / LABELS, shared=True):
+            if is_stored(job.session, job.label.sample):
+                return Written()
+            pictures = pictures_for(job.label, _slots(job.ring).view(job.slot))
+            return Written(bytes=write_sample(job.session, job.label, pictures, reserve))
+    except FrameLostError as error:
+        return Written(error=ErrorInfo(code=PIXELS_GONE, message=f"{job.label.sample} is lost: {error.message}"))
+    except RefusedError as error:
+        return Written(error=ErrorInfo(code=error.code, message=error.message))
+    except OSError as error:
+        return Written(error=explain(error, job.session))
+
+
+_rings: OrderedDict[str, SampleSlots] = OrderedDict()
+
+
+def _slots(ring: str) -> SampleSlots:
+    """The mapped ring; raises FrameLostError if it is gone. A ring's name is never used twice (it has a boot id)."""
+    if ring not in _rings:
+        _rings[ring] = SampleSlots(ring)
+        while len(_rings) > _MOST_RINGS:
+            _rings.popitem(last=False)[1].close()
+    _rings.move_to_end(ring)
+    return _rings[ring]
