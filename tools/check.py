@@ -97,10 +97,8 @@ def _covered(box: Box, side: BoxSide, marker: MarkerOnSide, margin: float) -> fl
 def _summary(rig: Rig, shares: tuple[CoveredShare, ...]) -> list[str]:
     config = rig.config
     cameras = config.cameras
-    lines = [
-        f"{rig.path} is good: {_count(len(rig.boxes), 'object')}, {_count(len(shares), 'marker')} of "
-        f"{config.markers.family}, {_count(len(cameras), 'camera')}",
-    ]
+    what = (_count(len(rig.boxes), "object"), _count(len(shares), "marker"), _count(len(cameras), "camera"))
+    lines = [f"{rig.path} is good: {', '.join(what)}, family {config.markers.family}"]
     for box in rig.boxes:
         size = " x ".join(f"{value:g}" for value in box.size_mm)
         lines.append(f"  {box.name} ({box.type}), {size} mm (width x height x depth)")

@@ -42,8 +42,8 @@ class Rig:
     warnings: tuple[str, ...] = ()
 
     def resolve(self, path: Path) -> Path:
-        """A path of the rig file, made absolute."""
-        return (self.folder / path).absolute()
+        """A path of the rig file, absolute and without ``..``."""
+        return (self.folder / path).resolve()
 
     def camera(self, name: str) -> CameraConfig:
         """A camera of the rig; raises ConfigError that names the known ones."""
@@ -137,7 +137,7 @@ def load_rig(path: Path, *, inputs: bool = False) -> Rig:
     boxes = ObjectReader(tree, _family(tree, config, folder, problems), problems).read(config)
     calibrations = _check_cameras(tree, config, folder, problems, inputs=inputs)
     check_network(tree, config.network, folder, problems)
-    root = (folder / config.dataset.root).absolute()
+    root = (folder / config.dataset.root).resolve()
     check_dataset_root(tree, root, problems)
     problems.raise_if_any()
     warnings = () if config.objects else (f"{path}: objects: there are none, so no frame can be labelled",)
@@ -203,12 +203,12 @@ def _absolute(camera: CameraConfig, folder: Path) -> CameraConfig:
     """A camera of another file: its paths made absolute, since the rig's folder is not theirs."""
     changed: dict[str, Any] = {}
     if camera.calibration is not None:
-        changed["calibration"] = (folder / camera.calibration).absolute()
+        changed["calibration"] = (folder / camera.calibration).resolve()
     model = DRIVER_OPTIONS.get(camera.driver)
     if model is not None:
         options = model.model_validate(camera.options)
         for key in camera.options:
             value = getattr(options, key)
             if isinstance(value, Path):
-                changed[key] = str((folder / value).absolute())
+                changed[key] = str((folder / value).resolve())
     return CameraConfig.model_validate({**camera.model_dump(), **changed})

@@ -52,7 +52,7 @@ def check_network(tree: Tree, network: NetworkConfig, folder: Path, problems: Pr
             "network.keys (tagmill keys makes them), or use tcp://127.0.0.1:5750",
         )
     if network.keys is not None and not (folder / network.keys).is_dir():
-        note("keys", f"there is no folder {(folder / network.keys).absolute()}; tagmill keys makes one")
+        note("keys", f"there is no folder {(folder / network.keys).resolve()}; tagmill keys makes one")
     fault = _console_fault(network.console)
     if fault:
         note("console", f"'{network.console}' is no console address: {fault}; e.g. http://127.0.0.1:8750")
@@ -78,7 +78,7 @@ def check_inputs(tree: Tree, name: str, camera: CameraConfig, folder: Path, prob
     for key, path in (("path", options.path), ("depth_path", options.depth_path)):
         if path is None:
             continue
-        resolved = (folder / path).absolute()
+        resolved = (folder / path).resolve()
         if not resolved.exists() and next(glob.iglob(str(resolved)), None) is None:  # noqa: PTH207 - absolute pattern
             found = tree.nearest(("cameras", name, key))
             problems.add(found.line, found.path, f"there is nothing at {resolved}")

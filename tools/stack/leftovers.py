@@ -1,0 +1,88 @@
+"""What kill -9 left behind: socket files, lock files, shared memory. What is alive is never touched."""
+
+from __future__ import annotations
+
+import re
+import socket
+from pathlib import Path
+
+from common.bus import Endpoints, NameLock, holder_of
+from common.errors import NameTakenError
+from common.frames import sweep
+from tools.stack.programs import PID_FILE, SOCKET_FILE
+
+_LOCK = ".lock"
+_PID = re.compile(r"\(pid (\d+)\)$")
+
+
+def living(endpoints: Endpoints) -> tuple[str, ...]:
+    """Who holds a name or a socket of this stack right now, e.g. ``control (pid 4711)``."""
+    holders = {holder for lock in _locks(endpoints.run_dir) if (holder := holder_of(lock)) is not None}
+    return tuple(sorted(holders))
+
+
+def living_pids(endpoints: Endpoints) -> tuple[int, ...]:
+    """The processes of ``living``."""
+    return tuple(sorted({int(found[1]) for holder in living(endpoints) if (found := _PID.search(holder))}))
+
+
+def clear(endpoints: Endpoints) -> tuple[str, ...]:
+    """Remove what dead processes left; returns what was removed.
+
+    A socket file goes by the lock beside it: whoever binds an ipc path holds ``<path>.lock``. A segment goes by
+    the lock on itself.
+    """
+    cleared: list[str] = []
+    folder = endpoints.run_dir
+    for lock in _locks(folder):
+        cleared += _clear_lock(lock)
+    for path in sorted(folder.iterdir()) if folder.is_dir() else ():
+        alone = path.is_socket() and path.name != SOCKET_FILE and not path.with_name(path.name + _LOCK).exists()
+        if alone:
+            path.unlink(missing_ok=True)
+            cleared.append(path.name)
+    cleared += _clear_supervisor(folder)
+    return (*cleared, *sweep(endpoints.prefix))
+
+
+def _locks(folder: Path) -> tuple[Path, ...]:
+    return tuple(sorted(folder.glob(f"*{_LOCK}"))) if folder.is_dir() else ()
+
+
+def _clear_lock(path: Path) -> list[str]:
+    try:
+        lock = NameLock(path, "tagmill down")
+    except NameTakenError:
+        return []
+    with lock:
+        guarded = path.with_name(path.name.removesuffix(_LOCK))
+        found = guarded.is_socket()
+        if found:
+            guarded.unlink(missing_ok=True)
+    return [path.name, guarded.name] if found else [path.name]
+
+
+def _clear_supervisor(folder: Path) -> list[str]:
+    """The supervisor's socket (nobody listens there any more) and its pid file."""
+    path = folder / SOCKET_FILE
+    if path.exists() and _answers(path):
+        return []
+    cleared = []
+    # supervisord binds <socket>.<pid> first and then links it to its name.
+    for left in (path, *sorted(folder.glob(f"{SOCKET_FILE}.*")), folder / PID_FILE):
+        if left.exists():
+            left.unlink(missing_ok=True)
+            cleared.append(left.name)
+    return cleared
+
+
+def _answers(path: Path) -> bool:
+    with socket.socket(socket.AF_UNIX, socket.SOCK_STREAM) as probe:
+        probe.settimeout(2.0)
+        try:
+            probe.connect(str(path))
+        except (ConnectionRefusedError, FileNotFoundError):
+            return False
+        except OSError:
+            return True  # it doesn't answer in time, yet it is there
+        return True
