@@ -3,10 +3,14 @@
 from __future__ import annotations
 
 import os
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
 from pathlib import Path
+from typing import Any
 
 import pytest
+
+from tests.support.hygiene import Place, own_place
+from tests.support.stack import ServiceProcess, Stack
 
 ROOT = Path(__file__).resolve().parents[1]
 
@@ -26,3 +30,40 @@ def testdata() -> Callable[[str], Path]:
         return path
 
     return find
+
+
+@pytest.fixture(autouse=True)
+def place(monkeypatch: pytest.MonkeyPatch) -> Iterator[Place]:
+    """A prefix and a run folder for this test alone; fails it if it leaves something behind."""
+    with own_place(monkeypatch) as own:
+        yield own
+
+
+@pytest.fixture
+def stack(place: Place, tmp_path: Path, request: pytest.FixtureRequest) -> Iterator[Stack]:
+    """Starts real processes, stops what still runs at the end, shows their logs if the test failed."""
+    made = Stack(place, tmp_path)
+    try:
+        yield made
+    finally:
+        stubborn = made.close()
+        report = getattr(request.node, "call_report", None)
+        if stubborn or (report is not None and report.failed):
+            print(made.logs())
+    if stubborn:
+        pytest.fail(f"these did not stop when asked: {stubborn}", pytrace=False)
+
+
+@pytest.fixture
+def start_service(stack: Stack) -> Callable[..., ServiceProcess]:
+    """``start_service(name, rig, *arguments)``: a real service process."""
+    return stack.start_service
+
+
+@pytest.hookimpl(wrapper=True)
+def pytest_runtest_makereport(item: pytest.Item, call: pytest.CallInfo[None]) -> Any:
+    """Let fixtures see whether their test failed."""
+    report = yield
+    if report.when == "call":
+        item.call_report = report  # type: ignore[attr-defined]
+    return report

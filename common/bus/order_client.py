@@ -43,8 +43,10 @@ class OrderClient:
 
     @property
     def available(self) -> bool:
-        """False if the last try to send found no connection, or the peer gave no sign of life for 3 s."""
-        return self._table.available(clock.monotonic_ns())
+        """Whether an order given now would go at once: there is a connection, and a sign of life within 3 s."""
+        if self._socket is None or not self._table.peer_is_fresh(clock.monotonic_ns()):
+            return False
+        return bool(self._socket.poll(0, zmq.POLLOUT))
 
     @property
     def pending(self) -> tuple[str, ...]:

@@ -31,8 +31,6 @@ class OrderTable:
     entries: dict[str, _Entry] = field(default_factory=dict)
     peer_boot: str | None = None
     peer_seen_ns: int | None = None
-    blocked: bool = False
-    """The last try to send found no connection."""
 
     def add(self, key: str, data: bytes) -> bool:
         """Enter an order; False if this key is in the table already. Raises RefusedError ``backlog_full``."""
@@ -72,15 +70,12 @@ class OrderTable:
         """Take the order out; False if it isn't (or no longer) waited for."""
         return self.entries.pop(key, None) is not None
 
-    def available(self, now_ns: int) -> bool:
-        """Whether an order given now would go at once to a living peer."""
-        seen = self.peer_seen_ns
-        return not self.blocked and seen is not None and now_ns - seen <= FRESH_NS
+    def peer_is_fresh(self, now_ns: int) -> bool:
+        """Whether the peer gave a sign of life in the last 3 s."""
+        return self.peer_seen_ns is not None and now_ns - self.peer_seen_ns <= FRESH_NS
 
     def _transmit(self, entry: _Entry, transmit: Callable[[bytes], bool], now_ns: int) -> bool:
         if not transmit(entry.data):
-            self.blocked = True
             return False
-        self.blocked = False
         entry.sent_ns, entry.sent_to = now_ns, self.peer_boot
         return True

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+import select
 from typing import Protocol
 
 import zmq
@@ -48,6 +49,9 @@ class Poller:
     def wait(self, timeout_s: float) -> bool:
         """Wait at most ``timeout_s``; True as soon as something can be received."""
         parts = tuple(part for member in self._members for part in _parts(member))
+        if not parts:
+            select.select((), (), (), max(0.0, timeout_s))  # zmq would return at once, and its caller spin
+            return False
         if parts != self._made_of:
             self._made = zmq.Poller()
             for part in parts:

@@ -52,11 +52,11 @@ class Publisher:
         except zmq.Again:
             self.dropped += 1
 
-    def close(self) -> None:
-        """Close at once; idempotent."""
+    def close(self, linger_s: float = 0.0) -> None:
+        """Close at once, or let the end of the process wait ``linger_s`` for last words. Idempotent."""
         for made in (self._bus, self._previews):
             if made is not None:
-                made.close(linger=0)
+                made.close(linger=int(linger_s * 1000))
         self._bus = self._previews = None
 
     def _lane(self, topic: Topic) -> Socket:

@@ -91,6 +91,7 @@ class Subscriber:
             if topic.delivery == "latest":
                 newest.setdefault(wire, []).append((position, data))
             elif (received := self._decoded(wire, topic, data)) is not None:
+                self._count_missed(wire, topic, received.stamp)
                 order.append((position, received))
         for wire, stack in newest.items():
             chosen = self._newest_valid(wire, stack)
@@ -143,6 +144,7 @@ class Subscriber:
             if received is not None:
                 if stack:
                     _add(self.superseded, topic.name, len(stack))
+                self._count_missed(wire, topic, received.stamp, passed_over=len(stack))
                 return position, received
         return None
 
@@ -155,14 +157,14 @@ class Subscriber:
         if message.stamp is None:
             self._count_bad(f"message:{topic.name}", "no stamp")
             return None
-        self._count_missed(wire, topic, message.stamp)
         keys = tuple(part.decode("ascii") for part in wire.split(b"/")[1:])
         return Received(topic, keys, message, message.stamp, clock.monotonic_ns())
 
-    def _count_missed(self, wire: bytes, topic: Topic, stamp: Stamp) -> None:
+    def _count_missed(self, wire: bytes, topic: Topic, stamp: Stamp, passed_over: int = 0) -> None:
         boot, seq = self._last.get(wire, ("", 0))
-        if topic.delivery == "every" and boot == stamp.boot and stamp.seq > seq + 1:
-            _add(self.missed, topic.name, stamp.seq - seq - 1)
+        gap = stamp.seq - seq - 1 - passed_over
+        if boot == stamp.boot and gap > 0:
+            _add(self.missed, topic.name, gap)
         self._last[wire] = (stamp.boot, stamp.seq)
 
     def _count_bad(self, kind: str, what: str) -> None:

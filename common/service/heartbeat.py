@@ -12,6 +12,7 @@ from common.service.states import Phase
 from common.topics import SERVICE
 
 _EVERY_NS = 1_000_000_000
+_LAST_WORDS_S = 0.2
 
 
 class Heartbeat:
@@ -54,5 +55,5 @@ class Heartbeat:
         self._publisher.publish(SERVICE, (self._id,), state)
 
     def close(self) -> None:
-        """Close at once; idempotent."""
-        self._publisher.close()
+        """Close; the last state gets a moment to leave. Idempotent."""
+        self._publisher.close(_LAST_WORDS_S)

@@ -12,7 +12,9 @@ from pathlib import Path
 
 from common import clock, errors, log
 from common.bus import Endpoints, NameLock, end_context
+from common.config import load_rig
 from common.errors import ConfigError, NameTakenError, TagmillError
+from common.frames import sweep
 from common.ids import new_boot
 from common.service.arguments import parse, service_id
 from common.service.context import Context, Report, Service
@@ -62,6 +64,7 @@ def _run(factory: ServiceFactory, name: str, argv: Sequence[str] | None, stop: S
         stop.ask("parent_died")
     context = _context(name, own_id, args)
     context.endpoints.prepare()
+    _clear_leftovers(context)
     _limit_threads()
     crashes = _watch_threads(context)
     run = _Run(factory, context, stop, crashes)
@@ -87,6 +90,7 @@ class _Run:
         self._states = StateMachine()
         self._service: Service | None = None
         self._lock: NameLock | None = None
+        self._report = Report()
         self._heartbeat = Heartbeat(context.endpoints, context.id, context.instance, context.camera, context.boot)
 
     def open(self, wait_s: float) -> None:
@@ -110,10 +114,10 @@ class _Run:
     def serve(self) -> None:
         """Rounds until a stop is requested or a thread crashes."""
         while self._service is not None and not self._ending():
+            self._report = self._service.report()
+            self._enter(Phase.FAULTY if self._report.faulty else Phase.RUNNING)
+            self._heartbeat.beat(self._states.phase, self._report)
             self._service.step(STEP_S)
-            report = self._service.report()
-            self._enter(Phase.FAULTY if report.faulty else Phase.RUNNING)
-            self._heartbeat.beat(self._states.phase, report)
 
     def drain(self) -> None:
         """Let the service finish what it began, at most ``DRAIN_S``, or until a second signal."""
@@ -126,15 +130,15 @@ class _Run:
                 self._context.log.warning("service.drain_cut", forced=self._stop.forced, limit_s=DRAIN_S)
                 return
             self._service.step(STEP_S / 5)
-            self._heartbeat.beat(self._states.phase, self._service.report())
+            self._report = self._service.report()
+            self._heartbeat.beat(self._states.phase, self._report)
 
     def close(self) -> None:
         """Give everything back, the name last."""
         try:
-            report = Report() if self._service is None else self._service.report()
             self._give_back()
             self._enter(Phase.STOPPED)
-            self._heartbeat.beat(self._states.phase, report)
+            self._heartbeat.beat(self._states.phase, self._report)
         finally:
             self._heartbeat.close()
             if self._lock is not None:
@@ -162,9 +166,6 @@ class _Run:
 
 
 def _context(name: str, own_id: str, args: argparse.Namespace) -> Context:
-    # Imported here, so that a mistake on the command line is told without loading numpy and OpenCV first.
-    from common.config import load_rig
-
     rig_path: Path = args.rig
     rig = load_rig(rig_path)
     return Context(
@@ -178,6 +179,13 @@ def _context(name: str, own_id: str, args: argparse.Namespace) -> Context:
         log=log.get(),
         args=args,
     )
+
+
+def _clear_leftovers(context: Context) -> None:
+    """Remove segments of dead processes; dead socket files are replaced under their lock by whoever binds them."""
+    swept = sweep(context.endpoints.prefix)
+    if swept:
+        context.log.info("service.swept", segments=swept)
 
 
 def _limit_threads() -> None:
