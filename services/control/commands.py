@@ -1,25 +1,19 @@
 """The command socket's table: one frozen model a command, what it does, what it answers. Pure.
 
-Requests are MessagePack maps with a field `command`. Nothing is guessed: an unknown command or field, a missing
-field, a wrong type or a value out of bounds is refused in one sentence that says what would be right.
+`parsing` turns bytes into these; `service.handlers` says who carries each out; `help` and docs/reference/commands.md
+are made from it.
 """
 
 from __future__ import annotations
 
-import difflib
-import math
 from dataclasses import dataclass
 from typing import Annotated, Any, Literal, Self
 
-from pydantic import BaseModel, ConfigDict, Field, ValidationError, model_validator
+from pydantic import BaseModel, ConfigDict, Field, model_validator
 
-from common.errors import CodecError, RefusedError
 from common.ids import NAME_PATTERN
-from common.messages import unpack
 
-MAX_REQUEST_BYTES = 64 * 1024
 ALL_CAMERAS = "all"
-_SHOWN_CHARACTERS = 40
 
 Camera = Annotated[str, Field(pattern=NAME_PATTERN, description="a camera's name, or 'all'")]
 Recording = Annotated[str, Field(pattern=NAME_PATTERN)]
@@ -197,32 +191,6 @@ COMMANDS: dict[str, Row] = {
 }
 
 
-def parse(data: bytes) -> Command:
-    """The request in ``data``; raises RefusedError with a code of `GENERAL_ERRORS` and one sentence."""
-    try:
-        plain = unpack(data, MAX_REQUEST_BYTES)
-    except CodecError as error:
-        raise RefusedError(f"that is no command: {error.message}", code="not_a_command") from error
-    if not isinstance(plain, dict) or not all(isinstance(key, str) for key in plain):
-        raise RefusedError('a command is a MessagePack map such as {"command": "status"}', code="not_a_command")
-    fields: dict[str, Any] = dict(plain)
-    if "command" not in fields:
-        raise RefusedError(f"the field 'command' is missing; it is one of {_listed(COMMANDS)}", code="missing_field")
-    name = fields.pop("command")
-    if not isinstance(name, str):
-        raise RefusedError(f"'command' must be a text, not {_shown(name)}", code="wrong_type")
-    row = COMMANDS.get(name)
-    if row is None:
-        raise RefusedError(
-            f"there is no command {_shown(name)}{_suggestion(name, COMMANDS)}; there are {_listed(COMMANDS)}",
-            code="unknown_command",
-        )
-    try:
-        return row.model.model_validate(fields)
-    except ValidationError as error:
-        raise _refusal(row, error) from None
-
-
 def command_name(command: Command) -> str:
     """The name under which a parsed request stands in the table."""
     return next(row.name for row in COMMANDS.values() if row.model is type(command))
@@ -266,53 +234,3 @@ def type_words(part: dict[str, Any]) -> str:
         return word
     above = "above " if "exclusiveMinimum" in part else ""
     return f"{word} {above}{low:g}..{high:g}" if high is not None else f"{word} from {above}{low:g}"
-
-
-_WRONG_VALUE = {"greater_than", "greater_than_equal", "less_than", "less_than_equal", "literal_error", "value_error"}
-_OUT_OF_BOUNDS = _WRONG_VALUE | {"string_pattern_mismatch", "finite_number"}
-
-
-def _refusal(row: Row, error: ValidationError) -> RefusedError:
-    """All mistakes of a request in one refusal; the code is the first one's."""
-    code, sentences = "", []
-    known = list(row.model.model_fields)
-    for mistake in error.errors(include_url=False, include_context=False):
-        field = str(mistake["loc"][0]) if mistake["loc"] else ""
-        if mistake["type"] == "extra_forbidden":
-            its_code = "unknown_field"
-            has = f"it has {_listed(known)}" if known else "it has no fields"
-            sentences.append(f"'{row.name}' has no field {_shown(field)}{_suggestion(field, known)}; {has}")
-        elif mistake["type"] == "missing":
-            its_code = "missing_field"
-            sentences.append(f"'{row.name}' needs the field '{field}'")
-        elif mistake["type"] == "value_error":
-            its_code = "out_of_bounds"
-            sentences.append(mistake["msg"].removeprefix("Value error, "))
-        else:
-            its_code = "out_of_bounds" if mistake["type"] in _OUT_OF_BOUNDS else "wrong_type"
-            sentences.append(f"'{field}' must be {_wanted(row, field)}, not {_shown(mistake['input'])}")
-        code = code or its_code
-    return RefusedError("; ".join(dict.fromkeys(sentences)), code=code)
-
-
-def _wanted(row: Row, field: str) -> str:
-    part = row.model.model_json_schema()["properties"][field]
-    words = part.get("description", "")
-    return type_words(part) + (f" ({words})" if words else "")
-
-
-def _suggestion(word: str, known: Any) -> str:
-    near = difflib.get_close_matches(word[:_SHOWN_CHARACTERS], list(known), n=1, cutoff=0.6)
-    return f"; did you mean '{near[0]}'?" if near else ""
-
-
-def _listed(names: Any) -> str:
-    return ", ".join(names)
-
-
-def _shown(value: object) -> str:
-    """A value as an error quotes it: short, on one line."""
-    if isinstance(value, float) and not math.isfinite(value):
-        return str(value)
-    text = ascii(value)
-    return text if len(text) <= _SHOWN_CHARACTERS else text[: _SHOWN_CHARACTERS - 3] + "..."

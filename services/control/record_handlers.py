@@ -31,6 +31,7 @@ from services.control.peers import STORE
 from services.control.recordings import join
 from services.control.stack import Stack
 
+NO_RECORDING = "no_recording"
 START_S = 5.0
 STOP_S = 30.0
 LEDGER_S = 5.0
@@ -115,7 +116,7 @@ class RecordHandlers:
         # One that did not answer may have begun all the same.
         begun = [camera for camera in cameras if camera not in failed or failed[camera].code == "timeout"]
         if begun:
-            yield self._stops({camera: self._stack.label_of(camera) for camera in begun}, spec.recording, START_S)
+            yield Batch(tuple(self._stop_errand(spec.recording, camera) for camera in begun), START_S)
         code, message = _summary(command.camera, failed)
         return refusal(code, f"{message}; no recording was begun", cameras=_plain_errors(failed))
 
@@ -123,27 +124,36 @@ class RecordHandlers:
         """End one recording or all that run; the ledgers once everything is durable."""
         known = self._stack.recordings
         wanted = known.open_ids() if command.recording is None else (command.recording,)
-        running = {recording: known.open_cameras(recording) for recording in wanted}
-        batches = [self._stops(cameras, recording, STOP_S) for recording, cameras in running.items()]
-        errands = tuple(errand for batch in batches for errand in batch.errands)
+        where = [(recording, camera) for recording in wanted for camera in known.open_cameras(recording)]
+        errands = tuple(self._stop_errand(recording, camera) for recording, camera in where)
         answers = (yield Batch(errands, STOP_S)) if errands else ()
-        where = [(recording, camera) for recording, cameras in running.items() for camera in cameras]
+        told: dict[str, list[Ledger]] = {recording: [] for recording in wanted}
         failed: dict[str, ErrorInfo] = {}
-        ledgers: list[Ledger] = []
-        for recording in wanted:
-            own = [answer for (of, _), answer in zip(where, answers, strict=True) if of == recording]
-            failed |= _failed([camera for of, camera in where if of == recording], own)
-            told = join(ledger for answer in own for ledger in answer.ledgers)
-            ledgers.append((yield from self._complete(recording, told)))
-        plain = [_plain(ledger) for ledger in ledgers]
+        for (recording, camera), answer in zip(where, answers, strict=True):
+            told[recording].extend(answer.ledgers)
+            # `no_recording`: it ended by itself meanwhile; its ledger is found below.
+            if answer.error is not None and answer.error.code != NO_RECORDING:
+                failed[camera] = answer.error
+        ledgers: list[Plain] = []
+        for recording, stopped in told.items():
+            ended = known.parts(recording, but={camera for part in stopped for camera in part.cameras}, ended=True)
+            try:
+                ledgers.append(_plain((yield from self._complete(recording, join([*ended, *stopped])))))
+            except RefusedError as error:
+                if not failed:
+                    raise
+                failed.setdefault(recording, ErrorInfo(code=error.code, message=error.message))
         if failed:
-            return refusal(*_summary(ALL_CAMERAS, failed), ledgers=plain, cameras=_plain_errors(failed))
-        return {"ledgers": plain}
+            return refusal(*_summary(ALL_CAMERAS, failed), ledgers=ledgers, cameras=_plain_errors(failed))
+        return {"ledgers": ledgers}
 
     def ledger(self, command: LedgerCommand) -> Talk:
-        """Live from the label processes while they all speak of it, else with the store's account."""
-        told = self._stack.recordings.ledger(command.recording)
-        return {"ledger": _plain((yield from self._complete(command.recording, told)))}
+        """Live while the label processes speak of it, else the store's account."""
+        known = self._stack.recordings
+        now = clock.monotonic_ns()
+        live = all(self._stack.roll_call.alive(peer, now) for peer in known.open_cameras(command.recording).values())
+        told = known.ledger(command.recording)
+        return {"ledger": _plain((yield from self._complete(command.recording, told, live=live)))}
 
     def preview(self, command: PreviewCommand) -> Talk:
         """Pass the lease to the label process that serves the camera."""
@@ -154,29 +164,26 @@ class RecordHandlers:
             return refusal(answer.error.code, answer.error.message)
         return {"camera": camera, "lease_s": PREVIEW_LEASE_S}
 
-    def _stops(self, cameras: dict[str, str], recording: str, timeout_s: float) -> Batch:
-        return Batch(
-            tuple(
-                Errand(peer, StopOrder(key=self._keys.new("stop"), recording=recording, camera=camera))
-                for camera, peer in cameras.items()
-            ),
-            timeout_s,
-        )
+    def _stop_errand(self, recording: str, camera: str) -> Errand:
+        order = StopOrder(key=self._keys.new("stop"), recording=recording, camera=camera)
+        return Errand(self._stack.label_of(camera), order)
 
-    def _complete(self, recording: str, told: Ledger | None) -> Generator[Batch, Answers, Ledger]:
-        """A ledger with all its cameras: what the store has, under what the label processes told.
+    def _complete(self, recording: str, told: Ledger | None, *, live: bool = True) -> Generator[Batch, Answers, Ledger]:
+        """A ledger with all its cameras: where the label processes haven't told all, the store's account too.
 
         Raises RefusedError ``no_recording`` if neither knows it, the store's refusal if only that is known.
         """
-        if told is not None and set(told.spec.cameras) <= set(told.cameras):
+        if live and told is not None and set(told.spec.cameras) <= set(told.cameras):
             return told
-        order = LedgerQuery(key=self._keys.new("query"), recording=recording)
-        (answer,) = yield Batch((Errand(STORE, order),), LEDGER_S)
-        if told is None and answer.error is not None and answer.error.code != "no_recording":
+        (answer,) = yield Batch(
+            (Errand(STORE, LedgerQuery(key=self._keys.new("query"), recording=recording)),), LEDGER_S
+        )
+        if told is None and answer.error is not None and answer.error.code != NO_RECORDING:
             raise RefusedError(answer.error.message, code=answer.error.code)
-        found = join([*answer.ledgers, *([told] if told is not None else [])])
+        parts = [told] if told is not None else []
+        found = join([*answer.ledgers, *parts] if live else [*parts, *answer.ledgers])
         if found is None:
-            raise RefusedError(self._no_such(recording), code="no_recording")
+            raise RefusedError(self._no_such(recording), code=NO_RECORDING)
         return found
 
     def _no_such(self, recording: str) -> str:

@@ -5,7 +5,7 @@ Control keeps nothing of its own: it learns the recordings from the bus, so it m
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterable
+from collections.abc import Callable, Container, Iterable
 from dataclasses import dataclass
 
 from common.labels import CameraLedger, Ledger, RecordingPhase
@@ -72,10 +72,12 @@ class Recordings:
         """Camera to the label process that reported it, for the cameras on which the recording runs or finishes."""
         return {camera: seen.source for camera, seen in self._seen.get(recording, {}).items() if seen.open}
 
-    def cameras(self, recording: str) -> tuple[str, ...]:
-        """The cameras that were asked for, () for an unknown recording."""
-        parts = self._seen.get(recording, {})
-        return next((seen.state.ledger.spec.cameras for seen in parts.values()), ())
+    def parts(self, recording: str, *, but: Container[str], ended: bool) -> tuple[Ledger, ...]:
+        """The ledgers of its cameras except ``but``; with ``ended`` only of those where it is over."""
+        seen = self._seen.get(recording, {})
+        return tuple(
+            part.state.ledger for camera, part in seen.items() if camera not in but and not (ended and part.open)
+        )
 
     def ledger(self, recording: str) -> Ledger | None:
         """As last reported; None for an unknown recording."""

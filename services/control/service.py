@@ -17,8 +17,9 @@ from common.messages import ServiceState, Shares
 from common.service import Context, Report
 from common.service.meters import Rate, Tally
 from common.topics import CAMERA, RECORDING, SERVICE, SHARES
-from services.control.commands import Command, HelpCommand, StatusCommand, command_name, parse
+from services.control.commands import Command, HelpCommand, StatusCommand, command_name
 from services.control.conversations import MAX_WAITING, Conversations, Keys, Plain, Talk, refusal, refusal_of
+from services.control.parsing import parse
 from services.control.peers import STORE, Peers
 from services.control.record_handlers import RecordHandlers
 from services.control.stack import Stack

@@ -63,15 +63,16 @@ class StackHandlers:
             self._refuse_while_recording("what its labels depend on can't be changed")
         self._reloading = True
         try:
-            yield from self._hand_out((STORE,))
+            (stored,) = yield from self._hand_out((STORE,))
             yield from self._hand_out(self._stack.labels)
         finally:
             self._reloading = False
         restart = captures_to_restart(self._stack.rig, rig)
         self._stack.take_over(rig)
+        self._stack.session = stored.text or self._stack.session
         return {"changed": list(changed), "restart": list(restart), "warnings": list(rig.warnings)}
 
-    def _hand_out(self, peers: tuple[str, ...]) -> Generator[Batch, Answers, None]:
+    def _hand_out(self, peers: tuple[str, ...]) -> Generator[Batch, Answers, Answers]:
         """A reload order to each; raises RefusedError with what they refuse."""
         orders = tuple(Errand(peer, ReloadOrder(key=self._keys.new("reload"))) for peer in peers)
         answers = yield Batch(orders, RELOAD_S)
@@ -81,6 +82,7 @@ class StackHandlers:
                 "; ".join(f"{peer} can't take the rig over: {error.message}" for peer, error in failed),
                 code=failed[0][1].code,
             )
+        return answers
 
     def _refuse_restart(self, changed: tuple[str, ...]) -> None:
         bound = [section for section in changed if section in _NEEDS_RESTART]

@@ -28,8 +28,8 @@ def status_answer(stack: Stack, now_ns: int) -> Plain:
             for recording, parts in stack.recordings.known.items()
         },
         "shares": stack.shares.model_dump(include={"detect", "label"}),
-        "backlog": int(sum(seen.state.numbers.get("backlog", 0) for seen in heard.values())),
-        "disk": _disk(store),
+        "backlog": sum(int(heard[name].state.numbers.get("backlog", 0)) for name in stack.labels if name in heard),
+        "disk": {"free_bytes": _number(store, "free_bytes")},
         "session": stack.session,
         "dataset": str(stack.rig.dataset_root),
         "rig": str(stack.rig.path),
@@ -94,14 +94,10 @@ def _recording(stack: Stack, recording: str, parts: dict[str, SeenRecording], no
     }
 
 
-def _disk(store: ServiceState | None) -> Plain:
-    """The store's word on the disk; None where it has not said anything."""
-    numbers = store.numbers if store is not None else {}
-    free, samples = numbers.get("free_bytes"), numbers.get("room_for_samples")
-    return {
-        "free_bytes": None if free is None else int(free),
-        "room_for_samples": None if samples is None else int(samples),
-    }
+def _number(service: ServiceState | None, name: str) -> int | None:
+    """A number of a service's heartbeat; None while it has not told it."""
+    number = service.numbers.get(name) if service is not None else None
+    return None if number is None else int(number)
 
 
 def _age(seen_ns: int, now_ns: int) -> float:
