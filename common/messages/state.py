@@ -19,7 +19,10 @@ class Warned(Part):
 
 
 class ServiceState(Message):
-    """A service's heartbeat. ``dropped`` counts by place since start, ``rates`` are per second."""
+    """A service's heartbeat. ``dropped`` counts by place since start, ``rates`` are per second.
+
+    ``texts`` are what is no number (the store's ``session``).
+    """
 
     service: str
     instance: int = 0
@@ -31,6 +34,7 @@ class ServiceState(Message):
     rates: dict[str, float] = {}
     dropped: dict[str, int] = {}
     numbers: dict[str, float] = {}
+    texts: dict[str, str] = {}
     last_error: str | None = None
     warnings: tuple[Warned, ...] = ()
 

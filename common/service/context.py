@@ -38,6 +38,7 @@ class Report:
     rates: dict[str, float] = field(default_factory=dict)
     dropped: dict[str, int] = field(default_factory=dict)
     numbers: dict[str, float] = field(default_factory=dict)
+    texts: dict[str, str] = field(default_factory=dict)
     last_error: str | None = None
     faulty: bool = False
     warnings: tuple[Warned, ...] = ()

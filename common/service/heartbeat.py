@@ -49,6 +49,7 @@ class Heartbeat:
             rates=report.rates,
             dropped=dropped,
             numbers=report.numbers,
+            texts=report.texts,
             last_error=report.last_error,
             warnings=report.warnings,
         )

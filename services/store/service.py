@@ -134,6 +134,7 @@ class StoreService:
             rates={"stored": desk.stored.per_second()},
             dropped=desk.refused.as_dict(),
             numbers=numbers,
+            texts={} if keeper.book is None else {"session": keeper.book.name},
             last_error=None if problem is None else problem.message,
             faulty=problem is not None,
             warnings=tuple(self._warned.values()),
