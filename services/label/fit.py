@@ -100,7 +100,7 @@ def refine(observed: Observed, start: Pose, iterations: int = 30) -> Fit | None:
         next_residuals = _residuals(observed, moved)
         next_cost = float("inf") if next_residuals is None else _cost(observed, next_residuals)
         if next_residuals is not None and next_cost <= cost:
-            settled = cost - next_cost <= 1e-9 * (1e-9 + cost)
+            settled = cost - next_cost <= 1e-6 * cost + 1e-12
             pose, residuals, cost, damping = moved, next_residuals, next_cost, max(damping / 10, 1e-12)
             if settled:
                 break
@@ -136,7 +136,7 @@ def _residuals(observed: Observed, pose: Pose) -> Array | None:
     if not (xyz[:, 2] > NEAR_MM).all():  # also false for NaN
         return None
     off = xyz[:, :2] / xyz[:, 2:] - observed.rays
-    return np.asarray(np.einsum("nij,nj->ni", observed.slopes, off))
+    return np.asarray((observed.slopes @ off[:, :, None])[:, :, 0])
 
 
 def _cost(observed: Observed, residuals: Array) -> float:
@@ -152,16 +152,17 @@ def _jacobian(observed: Observed, pose: Pose) -> Array:
     ray = np.zeros((count, 2, 3))
     ray[:, 0, 0] = ray[:, 1, 1] = inverse_z
     ray[:, :, 2] = -xyz[:, :2] * (inverse_z**2)[:, None]
-    pixel = np.einsum("nij,njk->nik", observed.slopes / observed.sigma[:, None, None], ray)
+    pixel = (observed.slopes / observed.sigma[:, None, None]) @ ray
     cross = np.zeros((count, 3, 3))
     x, y, z = turned.T
     cross[:, 0, 1], cross[:, 0, 2], cross[:, 1, 2] = z, -y, x
     cross[:, 1, 0], cross[:, 2, 0], cross[:, 2, 1] = -z, y, -x
-    return np.concatenate([np.einsum("nij,njk->nik", pixel, cross), pixel], axis=2).reshape(2 * count, 6)
+    return np.concatenate([pixel @ cross, pixel], axis=2).reshape(2 * count, 6)
 
 
 def _solve(information: Array, gradient: Array, damping: float) -> Array | None:
-    damped = information + damping * np.diag(np.diag(information) + 1e-12)
+    damped = information.copy()
+    damped[np.diag_indices(6)] *= 1.0 + damping
     try:
         step = np.linalg.solve(damped, -gradient)
     except np.linalg.LinAlgError:

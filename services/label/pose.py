@@ -28,6 +28,9 @@ CERTAIN = 25.0
 """The evidence (same unit) of a pose that has no rival."""
 _DISTINCT = np.radians(8.0)
 """Starting poses of different markers nearer than this lead to the same minimum."""
+_MOST_STARTS = 4
+_GOOD = 4.0
+"""A fit with residuals up to twice the corner noise is the true minimum, not a mirrored one."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -106,7 +109,8 @@ def solve_box(
     )
     pose = best.pose
     marker_fits = tuple(
-        MarkerFit(view.seen, _own_pose(box, view, pose), residual_px(view.observed, pose)) for view in used
+        MarkerFit(view.seen, _own_pose(box, view, pose, alone=len(used) == 1), residual_px(view.observed, pose))
+        for view in used
     )
     rms = float(np.sqrt((best.residuals**2).sum(axis=1).mean()))
     return BoxPose(pose, marker_fits, contradicting, unsound, rms, evidence, alternative, best.information)
@@ -176,15 +180,34 @@ def _arbitrate(box: Box, views: list[_View], prior: Prior | None) -> _View:
 
 
 def _minima(box: Box, views: list[_View]) -> list[Fit]:
-    """The sound local minima of the joint fit, best first (at most two)."""
+    """The sound local minima of the joint fit, best first.
+
+    Markers on one side share the ambiguity of a lone one, so both minima count; markers on several sides leave
+    one, and the search ends when it is found.
+    """
     together = join([view.observed for view in views])
+    flat = len({view.seen.side.face for view in views}) == 1
+    found: list[Fit] = []
+    for start in _starts(together, views):
+        fit = refine(together, start)
+        if fit is None or not all(faces_camera(fit.pose, box, v.seen.side, v.seen.marker) for v in views):
+            continue
+        found.append(fit)
+        if not flat and fit.cost <= _GOOD * fit.residuals.size:
+            break
+    return sorted(found, key=lambda fit: fit.cost)
+
+
+def _starts(together: Observed, views: list[_View]) -> list[Pose]:
+    """The markers' own poses, those that fit all of them best first; of poses nearly alike only the best."""
     starts = sorted((start for view in views for start in view.starts), key=lambda pose: misfit(together, pose))
-    if len(views) > 1:
-        first = starts[0]
-        starts = [first, *(other for other in starts[1:] if first.angle_to(other) > _DISTINCT)][:2]
-    fits = [fit for fit in (refine(together, start) for start in starts) if fit is not None]
-    sound = [fit for fit in fits if all(faces_camera(fit.pose, box, v.seen.side, v.seen.marker) for v in views)]
-    return sorted(sound, key=lambda fit: fit.cost)
+    if len(views) == 1:
+        return starts
+    distinct: list[Pose] = []
+    for start in starts:
+        if all(start.angle_to(other) > _DISTINCT for other in distinct):
+            distinct.append(start)
+    return distinct[:_MOST_STARTS]
 
 
 def _decide(
@@ -213,9 +236,11 @@ def _prior_evidence(best: Pose, other: Pose, prior: Prior) -> float:
     return prior.evidence if to_best < to_other else -prior.evidence
 
 
-def _own_pose(box: Box, view: _View, joint: Pose) -> Pose:
+def _own_pose(box: Box, view: _View, joint: Pose, *, alone: bool) -> Pose:
     """The marker's own pose: of its two, refined on its four corners, the one nearer to the joint pose."""
     on_box = box.marker_pose(view.seen.side, view.seen.marker)
+    if alone:
+        return joint.after(on_box)
     nearest = min(view.starts, key=joint.angle_to)
     fit = refine(view.observed, nearest)
     return (fit.pose if fit is not None else nearest).after(on_box)
