@@ -124,6 +124,8 @@ class Layout:
             )
         if items[_KIND] != _KINDS.index(kind):
             raise FrameLostError(f"the segment {name} is not a ring of {kind}")
+        if items[_DEPTH] > 1 or items[_ORIGINAL] > 1:
+            raise FrameLostError(f"the segment {name} has a damaged header: a flag is neither 0 nor 1")
         try:
             layout = cls(
                 kind=kind,
