@@ -1,4 +1,4 @@
-"""One marker seen by one camera, ray-traced and supersampled: ground truth that shares no code with the product's renderer.
+"""One marker seen by one camera, ray-traced and supersampled: truth that shares no code with the product.
 
 Every sub-pixel's ray is met with the marker's plane; the pattern is read from cv2's *drawing* of the marker
 (turned by 180 degrees for AprilTag, which is what the real tags are), not from the code under test.
