@@ -120,6 +120,8 @@ class CommandServer:
         pair = server_pair(keys_dir)
         self._gatekeeper = Gatekeeper(keys_dir)
         self._socket.setsockopt(zmq.ZAP_DOMAIN, _ZAP_DOMAIN)
+        # Without this, ZeroMQ lets everybody in while no gatekeeper answers.
+        self._socket.setsockopt(zmq.ZAP_ENFORCE_DOMAIN, 1)
         self._socket.curve_server = True
         self._socket.curve_publickey = pair.public
         self._socket.curve_secretkey = pair.secret
@@ -152,6 +154,11 @@ class CommandClient:
         except ConfigError:
             self._socket.close(linger=0)
             raise
+
+    @property
+    def address(self) -> str:
+        """Where it asks."""
+        return self._address
 
     def request(self, request: dict[str, Any], timeout_s: float | None = None) -> dict[str, Any]:
         """Send one request and wait for its answer.

@@ -1,0 +1,80 @@
+"""What the sub-commands share: where the stack is, one request to it, its refusals on a screen."""
+
+from __future__ import annotations
+
+import argparse
+import json
+from collections.abc import Iterator
+from contextlib import contextmanager
+from pathlib import Path
+from typing import Any
+
+import yaml
+from pydantic import ValidationError
+
+from common.bus import CommandClient, Endpoints
+from common.config.models import NetworkConfig
+from common.errors import EXIT_BAD_CONFIG, EXIT_OK, EXIT_REFUSED, ConfigError, NoAnswerError, TagmillError
+from tools.cli import show_error
+
+ANSWER_S = 5.0
+"""For commands that control answers without asking anybody."""
+AFTER_S = 5.0
+"""Control gives an answer at the command's own limit and a little later; the client waits so much longer."""
+
+
+@contextmanager
+def connected(args: argparse.Namespace) -> Iterator[CommandClient]:
+    """A client of the stack that ``--rig`` names, else of the default one."""
+    network, folder = network_of(args.rig)
+    keys = folder / network.keys if network.keys is not None else None
+    client = CommandClient(Endpoints.of(network), ANSWER_S, keys)
+    try:
+        yield client
+    finally:
+        client.close()
+
+
+def network_of(rig: Path | None) -> tuple[NetworkConfig, Path]:
+    """The rig file's ``network`` and the file's folder.
+
+    Nothing else of the file is looked at: whoever wants to stop a recording must not be kept from it by a mistake
+    in an object that is being edited. Raises ConfigError if even that part can't be read.
+    """
+    if rig is None:
+        return NetworkConfig(), Path()
+    try:
+        plain = yaml.safe_load(rig.read_text(encoding="utf-8"))
+        network = plain.get("network") if isinstance(plain, dict) else None
+        return NetworkConfig.model_validate(network or {}), rig.parent.absolute()
+    except OSError as error:
+        raise ConfigError(f"the rig file {rig} can't be read: {error.strerror}; name another with --rig") from error
+    except (UnicodeDecodeError, yaml.YAMLError, ValidationError) as error:
+        raise ConfigError(f"{rig} doesn't say where the stack is; 'tagmill check {rig}' says what is wrong") from error
+
+
+def ask(client: CommandClient, request: dict[str, Any], timeout_s: float = ANSWER_S) -> dict[str, Any]:
+    """One request, one answer (a refusal is an answer too); raises NoAnswerError with the cure."""
+    present = {key: value for key, value in request.items() if value is not None}
+    try:
+        return client.request(present, timeout_s)
+    except NoAnswerError as error:
+        address = client.address
+        raise NoAnswerError(
+            f"no tagmill answers at {address}: is the stack up? start it with 'tagmill up --rig rig.yaml'"
+        ) from error
+
+
+def finish(args: argparse.Namespace, answer: dict[str, Any]) -> int:
+    """The end of a sub-command: JSON if wanted, a refusal in words; returns the exit code."""
+    if args.json:
+        print(json.dumps(answer))
+    elif not answer["ok"]:
+        error = answer["error"]
+        if error["code"] == "bad_config":
+            show_error(ConfigError(error["message"], tuple(answer.get("problems", ()))), as_json=False)
+        else:
+            show_error(TagmillError(error["message"], code=error["code"]), as_json=False)
+    if answer["ok"]:
+        return EXIT_OK
+    return EXIT_BAD_CONFIG if answer["error"]["code"] == "bad_config" else EXIT_REFUSED

@@ -1,0 +1,27 @@
+"""`tagmill reload`: check the changed rig file and let the running stack take it over."""
+
+from __future__ import annotations
+
+import argparse
+
+from tools.commands.client import ask, connected, finish
+
+RELOAD_S = 40.0
+
+
+def add_parser(_: argparse.ArgumentParser) -> None:
+    """Nothing of its own: the stack knows its rig file."""
+
+
+def run(args: argparse.Namespace) -> int:
+    """Print what changed; exit code 78 with all mistakes if the file can't be used."""
+    with connected(args) as client:
+        answer = ask(client, {"command": "reload"}, RELOAD_S)
+    if answer["ok"] and not args.json:
+        changed = ", ".join(answer["changed"])
+        print(f"taken over: {changed}" if changed else "nothing has changed")
+        for service in answer["restart"]:
+            print(f"{service} takes its change over when it is restarted: supervisorctl restart {service}")
+        for warning in answer["warnings"]:
+            print(f"warning: {warning}")
+    return finish(args, answer)
