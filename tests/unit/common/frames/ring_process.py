@@ -91,14 +91,19 @@ def read_unguarded(name: str) -> None:
 
 def hold(name: str) -> None:
     """Enter a frame, say so, and leave it when told to."""
+    deadline = time.monotonic() + DEADLINE_S
     with FrameReader(name) as ring:
-        outcome = "whole"
-        try:
-            with ring.view(ring.newest()):
-                say(inside=True, pid=os.getpid())
-                sys.stdin.readline()
-        except FrameLostError:
-            outcome = "lost"
+        inside = False
+        while not inside and time.monotonic() < deadline:
+            try:
+                with ring.view(ring.newest()):
+                    inside = True
+                    say(inside=True, pid=os.getpid())
+                    sys.stdin.readline()
+            except FrameLostError:
+                outcome = "lost"
+            else:
+                outcome = "whole"
         say(outcome=outcome)
 
 
