@@ -10,7 +10,8 @@ NAME_PATTERN = r"^[A-Za-z0-9][A-Za-z0-9_.-]{0,62}$"
 """What a camera, a session or an object may be called: it becomes part of file names."""
 
 _SAMPLE = re.compile(
-    r"^(?P<day>\d{8})T(?P<time>\d{6})\.(?P<ms>\d{3})Z-(?P<camera>[A-Za-z0-9][A-Za-z0-9_.-]{0,62})-(?P<frame>\d+)$"
+    r"(?P<day>\d{8})T(?P<time>\d{6})\.(?P<ms>\d{3})Z-(?P<camera>[A-Za-z0-9][A-Za-z0-9_.-]{0,62})-(?P<frame>\d+)",
+    re.ASCII,
 )
 
 
@@ -34,12 +35,12 @@ def sample_name(wall: int, camera: str, frame: int) -> str:
 
 def is_sample_name(text: str) -> bool:
     """Whether ``text`` is a well-formed sample name (never a path)."""
-    return _SAMPLE.match(text) is not None
+    return _SAMPLE.fullmatch(text) is not None
 
 
 def sample_camera(name: str) -> str:
     """The camera in a sample's name; raises ValueError if it is none."""
-    match = _SAMPLE.match(name)
+    match = _SAMPLE.fullmatch(name)
     if match is None:
         raise ValueError(f"'{name}' is not a sample name")
     return match["camera"]

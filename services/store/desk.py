@@ -198,8 +198,9 @@ class OrderDesk:
 
     def _query(self, return_: Return, order: LedgerQuery) -> None:
         self._require_session()
-        assert self._keeper.book is not None
-        self._answer(return_, Answer(key=order.key, ledgers=self._keeper.book.query(order.recording)))
+        book = self._keeper.book
+        assert book is not None
+        self._answer(return_, Answer(key=order.key, ledgers=book.query(order.recording), text=book.name))
 
     # --- sessions -----------------------------------------------------------------------------------------
 
