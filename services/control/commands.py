@@ -233,4 +233,4 @@ def type_words(part: dict[str, Any]) -> str:
     if low is None and high is None:
         return word
     above = "above " if "exclusiveMinimum" in part else ""
-    return f"{word} {above}{low:g}..{high:g}" if high is not None else f"{word} from {above}{low:g}"
+    return f"{word} {above}{low:.15g}" + ("" if high is None else f"..{high:.15g}")
