@@ -215,9 +215,11 @@ def _decide(
 ) -> tuple[Fit, float, Pose | None]:
     """The pose to use, its evidence, and the alternative where nothing decides between the two."""
     best = fits[0]
-    if len(fits) == 1 or corner_distance(box, best.pose, fits[1].pose, camera) <= ambiguous_px:
+    # Several starts may have led to one minimum; a rival is one that puts the box elsewhere.
+    rivals = (fit for fit in fits[1:] if corner_distance(box, best.pose, fit.pose, camera) > ambiguous_px)
+    other = next(rivals, None)
+    if other is None:
         return best, CERTAIN, None
-    other = fits[1]
     # Corners fit worse than their kind promises when blur or a bent marker spoils them: the noise is then larger.
     inflated = max(1.0, best.cost / max(2 * corners - 6, 1))
     evidence = (other.cost - best.cost) / inflated

@@ -137,7 +137,7 @@ def test_two_markers_on_one_side_share_the_ambiguity():
         random = np.random.default_rng(seed)
         markers = [detected(i, project(c, pose) + random.normal(0, 0.3, (4, 2)), "subpix") for i, c in corners.items()]
         found.append(solve(markers, bar))
-    assert any(result.ambiguous for result in found)
+    assert sum(result.ambiguous for result in found) > 10
     assert all(len(result.markers) == 2 for result in found)
     assert all(result.ambiguous or corner_distance(bar, result.pose, pose, CAMERA) < 40 for result in found)
 
