@@ -1,0 +1,1 @@
+"""Benchmarks that anyone can rerun; they print figures and assert nothing about time."""

@@ -1,0 +1,176 @@
+"""`tagmill bench load`: synthetic cameras drive the real stack; where frames go, how late, at what cost.
+
+The producers render a short path ahead and repeat it, so that they cost next to nothing.
+"""
+
+from __future__ import annotations
+
+import argparse
+import json
+import os
+import re
+import signal
+import tempfile
+import threading
+from collections import Counter
+from collections.abc import Iterator
+from contextlib import contextmanager
+from dataclasses import asdict, dataclass
+from pathlib import Path
+
+import yaml
+
+from common.bus import CommandClient, Endpoints, Subscriber
+from common.config import load_rig
+from common.errors import EXIT_OK, EXIT_USAGE, TagmillError
+from common.topics import CAMERA, DETECTIONS, LABELS, SERVICE
+from tools.bench.load_counter import CameraLoad, LoadCounter
+from tools.bench.load_table import print_load
+from tools.bench.processes import Usage, usage_between, usage_now
+from tools.stack.running import running_stack, wait_ready
+
+_WARM_UP_S = 4.0
+_STALL_S = 20.0
+_OBJECTS = Path(__file__).resolve().parents[1] / "demo" / "rig.yaml"
+
+
+def add_parser(parser: argparse.ArgumentParser) -> None:
+    """The benchmark's own arguments."""
+    parser.add_argument("--cameras", type=int, default=4)
+    parser.add_argument("--fps", type=float, default=30.0)
+    parser.add_argument("--size", default="1280x720", help="WxH")
+    parser.add_argument("--seconds", type=float, default=30.0, help="measured, after a warm-up of 4 s")
+    parser.add_argument("--label-delay-ms", type=float, default=0.0, help="make labelling this much slower a frame")
+    parser.add_argument(
+        "--stall-store", action="store_true", help="stop the store process for 20 s (or 2/3 of the time) and record"
+    )
+    parser.add_argument("--detect-workers", type=int, default=1)
+    parser.add_argument("--label-workers", type=int, default=1)
+    parser.add_argument("--seed", type=int, default=1)
+
+
+@dataclass
+class Load:
+    """The whole measurement."""
+
+    seconds: float
+    cameras: dict[str, CameraLoad]
+    processes: dict[str, Usage]
+    records: dict[str, int]
+
+
+def run(args: argparse.Namespace) -> int:
+    """Measure and print."""
+    size = re.fullmatch(r"(\d+)x(\d+)", args.size)
+    if size is None or args.cameras < 1 or args.seconds <= 0:
+        print("bench load: --size is WxH, --cameras at least 1, --seconds above 0")
+        return EXIT_USAGE
+    with tempfile.TemporaryDirectory(prefix="tagmill-load-") as folder:
+        os.environ["TAGMILL_RUN_DIR"] = folder
+        os.environ["TAGMILL_PREFIX"] = "load"
+        rig = write_rig(Path(folder), args, (int(size[1]), int(size[2])))
+        environment = {"TAGMILL_LABEL_DELAY_MS": str(args.label_delay_ms)}
+        log = Path(folder) / "stack.log"
+        try:
+            with running_stack(rig, log, environment):
+                load = measure(rig, args)
+        except TagmillError:
+            print(log.read_text()[-4000:])
+            raise
+    print(json.dumps(asdict(load))) if args.json else print_load(load, vars(args))
+    return EXIT_OK
+
+
+def write_rig(folder: Path, args: argparse.Namespace, size: tuple[int, int]) -> Path:
+    """The demo's objects, and as many synthetic cameras as asked for."""
+    rig = yaml.safe_load(_OBJECTS.read_text())
+    rig["dataset"] = {"root": "./dataset", "session": "load"}
+    rig["workers"] = {"detect": args.detect_workers, "label": args.label_workers}
+    rig["cameras"] = {
+        f"cam{index}": {
+            "driver": "synthetic",
+            "width": size[0],
+            "height": size[1],
+            "fps": args.fps,
+            "seed": args.seed + index,
+            "prerendered": 16,
+        }
+        for index in range(args.cameras)
+    }
+    path = folder / "load.yaml"
+    path.write_text(yaml.safe_dump(rig))
+    return path
+
+
+def measure(rig: Path, args: argparse.Namespace) -> Load:
+    """Warm up, count for the given time, and say what each process cost."""
+    endpoints = Endpoints.of(load_rig(rig).config.network)
+    names = [f"cam{index}" for index in range(args.cameras)]
+    subscriber = Subscriber(endpoints)
+    client = CommandClient(endpoints, timeout_s=5.0)
+    try:
+        status = wait_ready(client, names)
+        for topic in (CAMERA, DETECTIONS, LABELS, SERVICE):
+            subscriber.subscribe(topic)
+        pids = {name: int(service["pid"]) for name, service in status["services"].items()}
+        counter = LoadCounter(subscriber, args.fps)
+        counter.listen(_WARM_UP_S)
+        counter.reset()
+        before = usage_now(pids)
+        records = _Records(endpoints, names) if args.stall_store else None
+        with _stalled(pids["store"], min(_STALL_S, args.seconds * 2 / 3) if args.stall_store else 0.0):
+            counter.listen(args.seconds)
+        usage = usage_between(before, usage_now(pids))
+        outcomes = records.finish() if records is not None else {}
+        return Load(counter.seconds, counter.result(), usage, outcomes)
+    finally:
+        client.close()
+        subscriber.close()
+
+
+@contextmanager
+def _stalled(pid: int, seconds: float) -> Iterator[None]:
+    """Stop a process for the first ``seconds`` of the block, and let it go on at the latest at the block's end."""
+    if seconds <= 0:
+        yield
+        return
+    timer = threading.Timer(seconds, os.kill, (pid, signal.SIGCONT))
+    os.kill(pid, signal.SIGSTOP)
+    timer.start()
+    try:
+        yield
+    finally:
+        timer.cancel()
+        os.kill(pid, signal.SIGCONT)
+
+
+class _Records:
+    """Gives record orders one after the other, all the while, and counts what they were answered."""
+
+    def __init__(self, endpoints: Endpoints, cameras: list[str]) -> None:
+        self._outcomes: Counter[str] = Counter()
+        self._over = threading.Event()
+        self._thread = threading.Thread(target=self._give, args=(endpoints, cameras), name="records")
+        self._thread.start()
+
+    def _give(self, endpoints: Endpoints, cameras: list[str]) -> None:
+        client = CommandClient(endpoints, timeout_s=10.0)
+        try:
+            number = 0
+            while not self._over.wait(0.5):
+                request = {"command": "record", "camera": cameras[number % len(cameras)], "timeout_s": 2.0}
+                number += 1
+                try:
+                    answer = client.request(request)
+                except TagmillError as error:
+                    self._outcomes[f"no answer ({error.code})"] += 1
+                    continue
+                self._outcomes["stored" if answer["ok"] else f"refused: {answer['error']['code']}"] += 1
+        finally:
+            client.close()
+
+    def finish(self) -> dict[str, int]:
+        """Give no more; the answers by outcome."""
+        self._over.set()
+        self._thread.join(30)
+        return dict(self._outcomes)

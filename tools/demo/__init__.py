@@ -1,0 +1,1 @@
+"""``make demo``: the whole stack on synthetic cameras, checked against the renderer's truth."""
