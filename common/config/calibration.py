@@ -103,7 +103,7 @@ class _Calibration:
         """The intrinsics; meaningless once a problem was noted."""
         width, height = self._size(size)
         model = self._model()
-        matrix = self._matrix(width, height)
+        matrix = self._matrix(None if self._problems.found else (width, height))
         distortion = self._distortion(model)
         serial = self._tree.child("serial")
         rows = [tuple(float(value) for value in row) for row in matrix]
@@ -164,7 +164,7 @@ class _Calibration:
             self._note(found, f"{shown(found.plain())} is not known; one of {known}")
         return model or "pinhole"
 
-    def _matrix(self, width: int, height: int) -> np.ndarray[Any, np.dtype[np.float64]]:
+    def _matrix(self, size: tuple[int, int] | None) -> np.ndarray[Any, np.dtype[np.float64]]:
         found = self._find(MATRIX)
         if found is None:
             self._missing(MATRIX, "the 3x3 matrix [[fx, 0, cx], [0, fy, cy], [0, 0, 1]]")
@@ -174,7 +174,7 @@ class _Calibration:
             self._note(found, "must be 3x3 finite numbers, [[fx, 0, cx], [0, fy, cy], [0, 0, 1]]")
             return np.eye(3)
         matrix = np.array(numbers).reshape(3, 3)
-        reason = _matrix_fault(matrix, width, height)
+        reason = _matrix_fault(matrix, size)
         if reason:
             self._note(found, reason)
         return matrix
@@ -196,8 +196,8 @@ class _Calibration:
         return numbers
 
 
-def _matrix_fault(matrix: np.ndarray[Any, np.dtype[np.float64]], width: int, height: int) -> str:
-    """What makes a matrix no camera's, empty if it is one."""
+def _matrix_fault(matrix: np.ndarray[Any, np.dtype[np.float64]], size: tuple[int, int] | None) -> str:
+    """What makes a matrix no camera's (at a picture of ``size``, if that is known), empty if it is one."""
     fx, fy = matrix[0, 0], matrix[1, 1]
     if fx <= 0 or fy <= 0:
         return f"fx and fy must be greater than 0, not {fx:g} and {fy:g}"
@@ -205,7 +205,9 @@ def _matrix_fault(matrix: np.ndarray[Any, np.dtype[np.float64]], width: int, hei
         return "must read [[fx, 0, cx], [0, fy, cy], [0, 0, 1]]; is it transposed?"
     if abs(matrix[0, 1]) > 1e-6 * fx:
         return f"has a skew of {matrix[0, 1]:g}; OpenCV's camera model has none, so calibrate without it"
-    cx, cy = matrix[0, 2], matrix[1, 2]
+    if size is None:
+        return ""
+    (cx, cy), (width, height) = matrix[:2, 2], size
     if not (-width <= cx <= 2 * width and -height <= cy <= 2 * height):
         return f"its centre ({cx:g}, {cy:g}) is far outside a picture of {width} x {height}; do size and matrix match?"
     return ""

@@ -32,11 +32,22 @@ def read_schema(tree: Tree, problems: Problems) -> RigConfig:
             path = _path(one["loc"])
             if first:
                 _note(tree, path, one, problems, RigConfig)
-            cuts.append(path[:-1] if one["type"] == "missing" else path)
+            if not _stand_in(tree, path):
+                cuts.append(path[:-1] if one["type"] == "missing" else path)
+        removed = [tree.remove(path) for path in sorted(set(cuts), key=_last_first, reverse=True)]
+        if not first and not any(removed):
+            return RigConfig()
         first = False
-        for path in sorted(set(cuts), key=_last_first, reverse=True):
-            if not tree.remove(path) and not path:
-                return RigConfig()
+
+
+def _stand_in(tree: Tree, path: FieldPath) -> bool:
+    """Give an object without a usable name another one: its sides can still be checked. Whether ``path`` was that."""
+    if len(path) != 3 or path[0] != "objects" or path[2] != "name":
+        return False
+    holder = tree.nearest(path[:2])
+    if isinstance(holder.value, dict):
+        holder.value["name"] = Tree((*holder.path, "name"), holder.line, f"nameless.{path[1]}")
+    return True
 
 
 def check_options(tree: Tree, name: str, camera: CameraConfig, problems: Problems) -> None:
