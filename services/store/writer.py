@@ -21,6 +21,7 @@ from services.store.worker import WriteJob, Written, prepare, write
 WORKER_DIED = "worker_died"
 BUG = "failed"
 _MOST_ATTEMPTS = 4
+_KILL_S = 1.0
 _AHEAD = 1
 """Jobs beyond one a worker that the pool holds, so that no worker waits for the loop."""
 
@@ -70,8 +71,11 @@ class Writer:
     def close(self) -> None:
         """End the workers; one that is still writing is killed, and the next start removes what it leaves."""
         if self._tasks:
-            for child in multiprocessing.active_children():
+            children = multiprocessing.active_children()
+            for child in children:
                 child.kill()
+            for child in children:
+                child.join(_KILL_S)
         self._pool.shutdown(wait=not self._tasks, cancel_futures=True)
 
     def _new_pool(self) -> ProcessPoolExecutor:
