@@ -17,7 +17,7 @@ MATRIX = np.array([[921.6, 0, 639.5], [0, 921.6, 359.5], [0, 0, 1.0]])
 SIZE = (1280, 720)
 BLACK, WHITE, WALL = 30.0, 220.0, 0.35
 BORDER_CELLS = 2
-SUPERSAMPLING = 6
+SUPERSAMPLING = 5
 AROUND_PX = 8
 
 
@@ -69,15 +69,12 @@ def render(
     part = (np.arange(SUPERSAMPLING) + 0.5) / SUPERSAMPLING - 0.5
     xs = (np.arange(x0, x1)[:, None] + part).ravel()
     ys = (np.arange(y0, y1)[:, None] + part).ravel()
-    pixels = np.stack(np.meshgrid(xs, ys), axis=-1).reshape(-1, 1, 2)
-    rays = cv2.undistortPointsIter(
-        pixels, MATRIX, lens, np.eye(3), np.eye(3), (cv2.TERM_CRITERIA_COUNT | cv2.TERM_CRITERIA_EPS, 50, 1e-10)
-    ).reshape(-1, 2)
+    rays = _rays(np.stack(np.meshgrid(xs, ys), axis=-1).reshape(-1, 2), lens)
     plane = np.column_stack([rotation[:, 0], rotation[:, 1], translation])
     on_marker = np.column_stack([rays, np.ones(len(rays))]) @ np.linalg.inv(plane).T
     u = (on_marker[:, 0] / on_marker[:, 2] / size_mm + 0.5) * n
     v = (0.5 - on_marker[:, 1] / on_marker[:, 2] / size_mm) * n
-    light = np.full(len(u), WALL)
+    light = np.full(len(u), WALL, dtype=np.float32)
     light[_within(u, v, -BORDER_CELLS, n + BORDER_CELLS)] = 1.0
     inside = _within(u, v, 0, n)
     light[inside] = cells[v[inside].astype(int), u[inside].astype(int)]
@@ -89,6 +86,16 @@ def render(
     whole[max(y0, 0) : y1, max(x0, 0) : x1] = coarse[max(-y0, 0) : SIZE[1] - y0, max(-x0, 0) : SIZE[0] - x0]
     levels = BLACK + (WHITE - BLACK) * whole ** (1 / gamma) + rng.normal(0, noise or 1e-9, whole.shape)
     return Seen(np.clip(np.rint(levels), 0, 255).astype(np.uint8), corners)
+
+
+def _rays(pixels: Array, lens: Array) -> Array:
+    """x/z, y/z (N, 2) of the rays through these pixels."""
+    if not lens.any():
+        return (pixels - MATRIX[:2, 2]) / np.diag(MATRIX)[:2]
+    criteria = (cv2.TERM_CRITERIA_COUNT | cv2.TERM_CRITERIA_EPS, 15, 1e-8)
+    return cv2.undistortPointsIter(pixels.reshape(-1, 1, 2), MATRIX, lens, np.eye(3), np.eye(3), criteria).reshape(
+        -1, 2
+    )
 
 
 def _within(u: Array, v: Array, low: float, high: float) -> NDArray[np.bool_]:
