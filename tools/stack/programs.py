@@ -73,6 +73,7 @@ def supervisor_config(rig: Rig, endpoints: Endpoints, *, new_session: bool = Fal
         user="user=root\n" if os.getuid() == 0 else "",
         environment=_environment(rig, endpoints),
         cameras=f"{run}/{CAMERAS_FOLDER}",
+        folder=CAMERAS_FOLDER,  # relative: the value is split at blanks
     )
     return "\n".join([head, *(_section(program) for program in programs(rig, new_session=new_session))])
 
@@ -101,7 +102,7 @@ childlogdir={log}
 {user}environment={environment}
 
 [include]
-files={cameras}/*.conf
+files={folder}/*.conf
 """
 
 
@@ -139,7 +140,8 @@ stdout_logfile_backups=3
 """
 
 
-_UNSPEAKABLE = re.compile(r"[\"'\\\x00-\x1f]|\s[;#]")
+# supervisor expands some values once and `environment` twice, so that no escape of a percent sign fits all.
+_UNSPEAKABLE = re.compile(r"[\"'\\%\x00-\x1f]|\s[;#]")
 
 
 def _text(path: Path) -> str:
@@ -147,7 +149,7 @@ def _text(path: Path) -> str:
     text = str(path)
     if _UNSPEAKABLE.search(text):
         raise ConfigError(
-            f"the path {text!r} holds a quote, a backslash or a ' ;' or ' #', which the supervisor's configuration "
-            "can't express; use another place"
+            f"the path {text!r} holds a quote, a backslash, a percent sign, a ' ;' or a ' #', which the supervisor's "
+            "configuration can't express; use another place"
         )
-    return text.replace("%", "%%")
+    return text
