@@ -122,7 +122,9 @@ class Camera:
             self._last_count = 0 if self._boot else max(ref.count - 1, 0)
             self._boot = ref.boot
         if not ref.preview:
-            self.skipped.add("superseded", max(ref.count - self._last_count - 1, 0))
+            passed_over = ref.count - self._last_count - 1
+            if passed_over > 0:
+                self.skipped.add("superseded", passed_over)
             self._last_count = ref.count
         self._last_frame = ref.frame
 
