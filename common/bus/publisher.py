@@ -6,6 +6,7 @@ import zmq
 
 from common import clock
 from common.bus.endpoints import Endpoints
+from common.bus.keyparts import has_valid_keys
 from common.bus.sockets import PREVIEW_QUEUE, PUBLISHER_QUEUE, Socket, new_socket
 from common.messages import Message, Stamp, encode
 from common.topics import PREVIEW, Topic
@@ -34,9 +35,9 @@ class Publisher:
         """
         if type(message) is not topic.message:
             raise TypeError(f"topic {topic.name} takes {topic.message.__name__}, not {type(message).__name__}")
-        if len(keys) != len(topic.keys):
-            raise ValueError(f"topic {topic.name} needs the keys {topic.keys}, got {keys}")
         wire = topic.key(*keys)
+        if not has_valid_keys(topic, wire):
+            raise ValueError(f"topic {topic.name} needs names for the keys {topic.keys}, got {keys}")
         seq = self._sent.get(wire, 0) + 1
         stamp = Stamp(
             source=self._source,
@@ -47,9 +48,7 @@ class Publisher:
         )
         data = encode(message.stamped(stamp))
         self._sent[wire] = seq
-        try:
-            self._lane(topic).send_multipart((wire, data), zmq.NOBLOCK)
-        except zmq.Again:
+        if not _sent(self._lane(topic), (wire, data)):
             self.dropped += 1
 
     def close(self, linger_s: float = 0.0) -> None:
@@ -67,6 +66,19 @@ class Publisher:
         if self._previews is None:
             self._previews = _connect(self._endpoints.publish_preview, PREVIEW_QUEUE)
         return self._previews
+
+
+def _sent(lane: Socket, parts: tuple[bytes, bytes]) -> bool:
+    """Whether ``parts`` found room in the queue."""
+    for _ in range(2):
+        try:
+            lane.send_multipart(parts, zmq.NOBLOCK)
+            return True
+        except zmq.Again:
+            # ZeroMQ looks for acknowledgements at most once a millisecond, so a burst finds a queue full that
+            # is empty; asking for the socket's events makes it look now.
+            lane.getsockopt(zmq.EVENTS)
+    return False
 
 
 def _connect(address: str, queue: int) -> Socket:

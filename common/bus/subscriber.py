@@ -9,6 +9,7 @@ import zmq
 
 from common import clock, log
 from common.bus.endpoints import Endpoints
+from common.bus.keyparts import has_valid_keys
 from common.bus.sockets import BUS_QUEUE, PREVIEW_QUEUE, ROOM_FOR_FRAMING, Socket, new_socket
 from common.errors import CodecError
 from common.messages import MAX_BYTES, Message, Stamp, decode
@@ -127,7 +128,7 @@ class Subscriber:
             return None
         wire, data = parts
         topic = topic_of(wire)
-        if topic is None or wire.count(b"/") != len(topic.keys) or not wire.isascii():
+        if topic is None or not has_valid_keys(topic, wire):
             self._count_bad("topic", f"no such topic: {wire[:80]!r}")
             return None
         # ZeroMQ matches prefixes: a subscription to camera/cam1 also brings camera/cam10.
