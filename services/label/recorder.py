@@ -4,11 +4,10 @@ from __future__ import annotations
 
 from collections.abc import Callable, Iterator
 
-from common.log import get
-
 from common import clock
 from common.errors import FrameLostError, RefusedError
 from common.labels import CameraLedger
+from common.log import get
 from common.messages import (
     Answer,
     CameraState,
@@ -94,6 +93,11 @@ class Recorder:
         for taker in self._open(detections.ref.camera):
             if taker.account.arrived(detections.ref):
                 taker.account.drop("label")
+
+    def also_detected(self, detections: Detections) -> None:
+        """Another source than the markers has spoken: recordings count it, and nothing hangs on it."""
+        for taker in self._open(detections.ref.camera):
+            taker.account.detected[detections.source] += 1
 
     def frame(self, detections: Detections, labelled: Labelled, begin: Begin) -> None:
         """A labelled frame: account for it, and begin a sample if somebody wants it."""

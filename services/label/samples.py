@@ -6,7 +6,7 @@ slots is the number of samples that may wait. Nothing leaves this table without 
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Iterator
+from collections.abc import Callable, Iterable, Iterator
 from dataclasses import dataclass
 
 import cv2
@@ -24,6 +24,7 @@ from services.label.pose import Prior
 from services.label.requests import Recording, Request, explain
 
 Taker = Request | Recording
+Others = Callable[[FrameRef], tuple[SourceDetections, ...]]
 
 
 @dataclass(eq=False)
@@ -37,7 +38,6 @@ class Sample:
     takers: list[Taker]
     camera: CameraLabel
     depth_unit_mm: float | None
-    others: tuple[SourceDetections, ...]
     objects: tuple[ObjectLabel, ...] = ()
 
     @property
@@ -91,7 +91,7 @@ class Samples:
             raise RefusedError(explain("not_due"), code="not_due")
         ring, slot = self._keep_pixels(camera, ref)
         state = camera.state
-        sample = Sample(name, ref, ring, slot, takers, state.camera, state.depth_unit_mm, camera.others(ref))
+        sample = Sample(name, ref, ring, slot, takers, state.camera, state.depth_unit_mm)
         self.under_way[name] = sample
         finisher.submit(Job(name, ring.name, slot, state.camera, detections.markers, previous, ref.captured_mono_ns))
         return sample
@@ -142,9 +142,12 @@ class Samples:
             np.copyto(kept.original, view.bgr)
 
     def finished(
-        self, jobs: Iterable[tuple[Job, Finished | None]], session: str, store: OrderClient
+        self, jobs: Iterable[tuple[Job, Finished | None]], session: str, store: OrderClient, others: Others
     ) -> Iterator[Outcome]:
-        """Send what the workers have finished to the store; yields those that are refused instead."""
+        """Send what the workers have finished to the store; yields those that are refused instead.
+
+        ``others`` gives what sources other than the markers have said of the frame by now.
+        """
         for job, result in jobs:
             sample = self.under_way.get(job.key)
             if sample is None:
@@ -160,7 +163,7 @@ class Samples:
                 camera=sample.ref.camera,
                 ring=sample.ring.name,
                 slot=sample.slot,
-                label=_label(sample, result, session),
+                label=_label(sample, result, session, others(sample.ref)),
             )
             try:
                 store.send(order)
@@ -198,7 +201,7 @@ class Samples:
         self._rings.clear()
 
 
-def _label(sample: Sample, result: Finished, session: str) -> Label:
+def _label(sample: Sample, result: Finished, session: str, others: tuple[SourceDetections, ...]) -> Label:
     ref = sample.ref
     return Label(
         sample=sample.name,
@@ -216,7 +219,7 @@ def _label(sample: Sample, result: Finished, session: str) -> Label:
         background=sample.takers[0].background,
         objects=result.objects,
         left_out=result.left_out,
-        detections=sample.others,
+        detections=others,
         inpainted=result.inpainted,
         versions={"tagmill": VERSION, "opencv": str(cv2.__version__)},
     )

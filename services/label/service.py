@@ -13,8 +13,9 @@ import time
 from common import clock
 from common.bus import OrderClient, OrderServer, Poller, Publisher, Return, Subscriber
 from common.config import load_rig
-from common.errors import RefusedError
+from common.errors import FrameLostError, RefusedError
 from common.messages import (
+    MARKERS,
     Answer,
     CameraState,
     Detections,
@@ -39,6 +40,7 @@ from services.label.labelling import Labelled, Labeller
 from services.label.preview import Previews
 from services.label.recorder import Recorder
 from services.label.requests import explain
+from services.label.roster import Roster
 from services.label.samples import Samples, Taker
 
 _ORDERS = (RecordOrder, StartOrder, StopOrder, PreviewOrder, ReloadOrder)
@@ -55,8 +57,8 @@ class LabelService:
         self._context = context
         self._rig = context.rig
         self._log = context.log
-        self._cameras: dict[str, Camera] = {}
-        self._shares: Shares | None = None
+        config = context.rig.config
+        self._roster = Roster(context.instance, config.workers.label, config.ring.slots, context.log)
         self._returns: dict[str, Return] = {}
         self._recorder = Recorder(self._reply)
         self._dropped = Tally()
@@ -101,17 +103,17 @@ class LabelService:
 
     def step(self, timeout_s: float) -> None:
         """One round: orders, news, at most one frame a camera, outcomes, deadlines."""
-        busy = self._finisher.busy or any(camera.waiting for camera in self._cameras.values())
+        busy = self._finisher.busy or any(camera.waiting for camera in self._roster)
         self._poller.wait(min(timeout_s, _BUSY_WAIT_S) if busy else timeout_s)
         for return_, order in self._orders.receive():
             self._returns[order.key] = return_
             self._take_order(order)
         for received in self._subscriber.receive():
             self._hear(received.message)
-        for camera in self._cameras.values():
+        for camera in self._roster:
             self._next_frame(camera)
         self._collect()
-        self._recorder.tick({name: camera.state for name, camera in self._cameras.items()})
+        self._recorder.tick(self._roster.states())
         for ledger in self._recorder.ledger_orders():
             self._store.send(ledger)
         self._tell_states()
@@ -128,13 +130,12 @@ class LabelService:
             part = getattr(self, name, None)
             if part is not None:
                 part.close()
-        for camera in self._cameras.values():
-            camera.close()
+        self._roster.close()
 
     def report(self) -> Report:
         """What the heartbeat says."""
         return Report(
-            cameras=tuple(sorted(self._cameras)),
+            cameras=self._roster.names,
             rates={"labelled": self._labelled.per_second()},
             dropped=self._dropped.as_dict(),
             numbers={
@@ -174,7 +175,7 @@ class LabelService:
 
     def _record(self, order: RecordOrder) -> None:
         request = self._recorder.record(order)
-        camera = self._cameras.get(order.camera)
+        camera = self._roster.get(order.camera)
         if order.frame is None or camera is None:
             return
         past = next((item for item in camera.recent if item.ref.frame == order.frame), None)
@@ -204,32 +205,15 @@ class LabelService:
     def _hear(self, message: object) -> None:
         match message:
             case Detections():
-                camera = self._cameras.get(message.ref.camera)
-                if camera is not None:
-                    camera.arrived(message)
+                self._roster.hear_detections(message)
+                if message.source != MARKERS and self._roster.get(message.ref.camera) is not None:
+                    self._recorder.also_detected(message)
             case CameraState():
-                self._hear_camera(message)
+                self._roster.hear_camera(message)
             case Shares():
-                self._shares = message
+                self._roster.hear_shares(message)
             case ServiceState():
                 self._store.peer_seen(message.boot)
-
-    def _hear_camera(self, state: CameraState) -> None:
-        name = state.camera.name
-        if not self._serves(name):
-            gone = self._cameras.pop(name, None)
-            if gone is not None:
-                gone.close()
-        elif name in self._cameras:
-            self._cameras[name].update(state)
-        else:
-            self._cameras[name] = Camera(state, self._rig.config.ring.slots)
-            self._log.info("camera.known", camera=name, width=state.camera.width, height=state.camera.height)
-
-    def _serves(self, camera: str) -> bool:
-        if self._rig.config.workers.label == 1:
-            return True
-        return self._shares is not None and self._shares.label.get(camera) == self._context.instance
 
     # --- frames ---------------------------------------------------------------------------------------
 
@@ -280,14 +264,16 @@ class LabelService:
     def _begin(self, detections: Detections, takers: list[Taker]) -> str:
         if not self._store.available:
             raise RefusedError(explain("store_down"), code="store_down")
-        camera = self._cameras[detections.ref.camera]
+        camera = self._roster.get(detections.ref.camera)
+        if camera is None:
+            raise FrameLostError(f"{detections.ref.camera} is no longer served here")
         previous = self._labeller.previous(camera.name, detections.ref.captured_mono_ns)
         return self._samples.begin(camera, detections, previous, takers, self._finisher).name
 
     def _collect(self) -> None:
         """What the workers have finished goes to the store; what the store answers goes to who asked."""
         jobs = [item for item in self._finisher.finished() if not self._previews.finished(*item)]
-        for outcome in self._samples.finished(jobs, self._rig.config.dataset.session, self._store):
+        for outcome in self._samples.finished(jobs, self._rig.config.dataset.session, self._store, self._roster.others):
             self._recorder.outcome(outcome)
         for answer in self._store.receive():
             if answer.key == self._query_key:
@@ -301,7 +287,7 @@ class LabelService:
         """Go on with recordings that ran when this service last died."""
         for ledger in answer.ledgers:
             for camera, account in ledger.cameras.items():
-                if ledger.phase == "running" and (self._serves(camera) or self._shares is None):
+                if ledger.phase == "running" and self._roster.may_serve(camera):
                     order = StartOrder(key=f"resume/{ledger.spec.recording}", spec=ledger.spec, camera=camera)
                     self._recorder.start(order, resumed=account)
 

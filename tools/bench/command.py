@@ -26,4 +26,5 @@ def run(args: argparse.Namespace) -> int:
     if args.bench is None:
         args.bench_parser.print_help()
         return EXIT_USAGE
-    return BENCHES[args.bench].run(args)
+    code: int = BENCHES[args.bench].run(args)
+    return code
