@@ -5,9 +5,9 @@ from __future__ import annotations
 import argparse
 
 from common.errors import EXIT_USAGE
-from tools.bench import load
+from tools.bench import detect_recall, load
 
-BENCHES = {"load": load}
+BENCHES = {"load": load, "detect": detect_recall}
 
 
 def add_parser(parser: argparse.ArgumentParser) -> None:
