@@ -237,4 +237,8 @@ if __name__ == "__main__":
     alone = argparse.ArgumentParser(description=__doc__)
     add_parser(alone)
     alone.add_argument("--json", action="store_true")
-    raise SystemExit(run(alone.parse_args()))
+    try:
+        code = run(alone.parse_args())
+    except ConfigError as error:
+        raise SystemExit(error.message) from None
+    raise SystemExit(code)
