@@ -64,7 +64,6 @@ class ControlService:
         self._refused = Tally()
         self._told_shares: Shares | None = None
         self._shares_due_ns = 0
-        self._store_boot: str | None = None
         self._draining = False
 
     def open(self) -> None:
@@ -142,9 +141,8 @@ class ControlService:
             self._stack.hear(message, received.stamp.source, received.received_ns)
             if isinstance(message, ServiceState):
                 self._peers.heard(message)
-                if message.service == STORE and message.phase == "running" and message.boot != self._store_boot:
-                    self._store_boot = message.boot
-                    self._conversations.begin(None, survey(self._stack, self._keys))
+                if message.service == STORE and message.boot != self._stack.surveyed_boot:
+                    self._conversations.begin(None, survey(self._stack, self._keys, message.boot))
 
     def _tell_shares(self) -> None:
         """Once a second, and at once when a camera is new."""
@@ -179,9 +177,10 @@ class ControlService:
         self._conversations.begin(return_, self._handlers[command_name(command)](command))
 
     def _answer(self, client: Return | None, answer: Plain) -> None:
+        if client is None:
+            return  # control's own question
         if not answer["ok"]:
             code = answer["error"]["code"]
             self._refused.add(code)
             self._context.log.info("command.refused", code=code, reason=answer["error"]["message"])
-        if client is not None:
-            self._commands.answer(client, answer)
+        self._commands.answer(client, answer)

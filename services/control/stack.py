@@ -33,7 +33,10 @@ class SeenCamera:
 
 
 class Stack:
-    """Control's knowledge; `hear` takes what comes from the bus."""
+    """Control's knowledge; `hear` takes what comes from the bus.
+
+    ``session`` is the store's open session, as the store in its life ``surveyed_boot`` told (at first the rig's).
+    """
 
     def __init__(self, rig: Rig, endpoints: Endpoints, now_ns: int) -> None:
         self.rig = rig
@@ -42,6 +45,7 @@ class Stack:
         self.recordings = Recordings()
         self.cameras: dict[str, SeenCamera] = {}
         self.session = rig.config.dataset.session
+        self.surveyed_boot = ""
         self.settled = False
         self._detect = Sharing(rig.config.workers.detect)
         self._label = Sharing(rig.config.workers.label)

@@ -120,10 +120,10 @@ def captures_to_restart(before: Rig, after: Rig) -> tuple[str, ...]:
     )
 
 
-def survey(stack: Stack, keys: Keys) -> Talk:
-    """Ask a store in a new life which session is open."""
+def survey(stack: Stack, keys: Keys, boot: str) -> Talk:
+    """Ask the store, in its life ``boot``, which session is open; without an answer it is asked again."""
     (answer,) = yield Batch((Errand(STORE, LedgerQuery(key=keys.new("survey"))),), SURVEY_S)
     if answer.error is not None:
         raise RefusedError(answer.error.message, code=answer.error.code)
-    stack.session = answer.text or stack.session
+    stack.session, stack.surveyed_boot = answer.text or stack.session, boot
     return {}

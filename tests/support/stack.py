@@ -18,7 +18,7 @@ from common.bus import Endpoints, Poller, Received, Subscriber
 from common.config.models import NetworkConfig
 from common.messages import ServiceState
 from common.topics import SERVICE, Topic
-from tests.support.hygiene import Place, processes_of
+from tests.support.hygiene import SETTLE_S, Place, processes_of
 
 ROOT = Path(__file__).resolve().parents[2]
 START_S = 30.0
@@ -223,7 +223,10 @@ class Stack:
             except subprocess.TimeoutExpired:
                 stubborn.append(process.name)
                 process.kill()
-        left = processes_of(self.place.prefix)
+        # Helpers of multiprocessing end a moment after the process that they helped.
+        deadline = time.monotonic() + SETTLE_S
+        while (left := processes_of(self.place.prefix)) and time.monotonic() < deadline:
+            time.sleep(0.02)
         return stubborn + [f"{pid}: {command}" for pid, command in left.items()]
 
     def logs(self) -> str:
