@@ -4,7 +4,9 @@ from __future__ import annotations
 
 import argparse
 import json
+import signal
 import sys
+from contextlib import ExitStack, suppress
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -13,14 +15,14 @@ from common.clock import monotonic_ns
 from common.config import RigConfig, load_rig
 from common.config.models import NetworkConfig
 from common.errors import EXIT_NO_ANSWER, EXIT_OK, ConfigError
-from tools.stack.leftovers import clear, living, living_pids
+from tools.stack.leftovers import clear, living, orphans
 from tools.stack.programs import SOCKET_FILE, STOP_WAIT_S
 from tools.stack.supervisor import Supervisor, SupervisorError, wait_for_end, watched
 
 LIMIT_S = 90.0
 """The supervisor stops program after program, each within STOP_WAIT_S."""
 ORPHANS_S = float(STOP_WAIT_S)
-"""A service whose supervisor died drains and ends by itself."""
+"""What a service may take to drain and close."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -67,12 +69,23 @@ def stop(endpoints: Endpoints, timeout_s: float = LIMIT_S) -> Ended:
 
 
 def _without_supervisor(endpoints: Endpoints) -> Ended:
-    """No supervisor of ours: what it left when it was killed drains by itself, and is given the time for it."""
-    deadline = monotonic_ns() + int(ORPHANS_S * 1e9)
-    for pid in living_pids(endpoints):
-        with watched(pid) as process:
-            wait_for_end(process, max(0.0, (deadline - monotonic_ns()) / 1e9))
-    return Ended(False, living(endpoints), clear(endpoints))
+    """No supervisor of ours: what it left when it was killed drains by itself, else it is asked to end."""
+    with ExitStack() as stack:
+        found = [stack.enter_context(watched(pid)) for pid in orphans(endpoints)]
+        ending = [process for process in found if process is not None]
+        # The kernel has told them already, and a second signal would cut their drain short. One that was just
+        # being started when its supervisor died knows nothing of it.
+        for process in _still_there(ending, ORPHANS_S):
+            with suppress(ProcessLookupError):
+                signal.pidfd_send_signal(process, signal.SIGTERM)
+        _still_there(ending, ORPHANS_S)
+    return Ended(bool(ending), living(endpoints), clear(endpoints))
+
+
+def _still_there(processes: list[int], timeout_s: float) -> list[int]:
+    """Those that have not ended after ``timeout_s``."""
+    deadline = monotonic_ns() + int(timeout_s * 1e9)
+    return [one for one in processes if not wait_for_end(one, max(0.0, (deadline - monotonic_ns()) / 1e9))]
 
 
 def _network(path: Path | None) -> NetworkConfig:

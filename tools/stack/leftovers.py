@@ -6,6 +6,8 @@ import re
 import socket
 from pathlib import Path
 
+import psutil
+
 from common.bus import Endpoints, NameLock, holder_of
 from common.errors import NameTakenError
 from common.frames import sweep
@@ -21,9 +23,18 @@ def living(endpoints: Endpoints) -> tuple[str, ...]:
     return tuple(sorted(holders))
 
 
-def living_pids(endpoints: Endpoints) -> tuple[int, ...]:
-    """The processes of ``living``."""
-    return tuple(sorted({int(found[1]) for holder in living(endpoints) if (found := _PID.search(holder))}))
+def orphans(endpoints: Endpoints) -> tuple[int, ...]:
+    """The processes of ``living`` that no supervisord looks after: theirs was killed."""
+    pids = {int(found[1]) for holder in living(endpoints) if (found := _PID.search(holder))}
+    return tuple(sorted(pid for pid in pids if not _supervised(pid)))
+
+
+def _supervised(pid: int) -> bool:
+    try:
+        parent = psutil.Process(pid).parent()
+        return parent is not None and any("supervisord" in word for word in parent.cmdline())
+    except psutil.NoSuchProcess:
+        return False
 
 
 def clear(endpoints: Endpoints) -> tuple[str, ...]:

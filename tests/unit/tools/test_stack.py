@@ -204,6 +204,34 @@ def test_what_a_killed_supervisor_left_is_cleared(running: subprocess.Popen[byte
     assert {path.name for path in endpoints.run_dir.iterdir()} == {"supervisord.conf", "log", "conf.d"}
 
 
+def test_an_orphan_that_knows_nothing_of_it_is_asked_to_end(
+    endpoints: Endpoints, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """A service that was just starting when its supervisor was killed: not told by the kernel, not yet draining."""
+    monkeypatch.setattr("tools.stack.down.ORPHANS_S", 2.0)
+    script = (
+        "import sys\nfrom pathlib import Path\nfrom common.bus import NameLock\n"
+        "lock = NameLock(Path(sys.argv[1]), 'store')\nprint('ready', flush=True)\nsys.stdin.read()\n"
+    )
+    lock = endpoints.service_lock("store")
+    orphan = subprocess.Popen(
+        [sys.executable, "-c", script, str(lock)], stdin=subprocess.PIPE, stdout=subprocess.PIPE, cwd=ROOT
+    )
+    assert orphan.stdout is not None
+    assert orphan.stdin is not None
+    try:
+        assert orphan.stdout.readline() == b"ready\n"
+        ended = stop(endpoints)
+        assert orphan.wait(5) == -15
+    finally:
+        if orphan.poll() is None:
+            orphan.kill()
+        orphan.wait(10)
+        orphan.stdin.close()
+        orphan.stdout.close()
+    assert (ended.ran, ended.alive, ended.cleared) == (True, (), ("store.lock",))
+
+
 def test_nobody_answers(endpoints: Endpoints) -> None:
     with pytest.raises(SupervisorError, match="no supervisor answers"):
         Supervisor(endpoints.run_dir / "supervisor.sock").pid()
