@@ -13,6 +13,7 @@ from common.geometry.box import (
 )
 from common.geometry.camera import CameraModel
 from common.geometry.pose import Pose
+from common.geometry.sight import hidden
 
 __all__ = [
     "CORNER_NAMES",
@@ -25,5 +26,6 @@ __all__ = [
     "Face",
     "MarkerOnSide",
     "Pose",
+    "hidden",
     "marker_points",
 ]

@@ -163,6 +163,7 @@ def _clip(polygon: Array, axis: int, limit: float, sign: int) -> Array:
             kept.append(here)
         if inside[i] != inside[following]:
             there = polygon[following]
-            share = (limit - here[axis]) / (there[axis] - here[axis])
-            kept.append(here + (there - here) * share)
+            crossing = here + (there - here) * ((limit - here[axis]) / (there[axis] - here[axis]))
+            crossing[axis] = limit
+            kept.append(crossing)
     return np.array(kept, dtype=np.float64).reshape(-1, 2)

@@ -7,15 +7,13 @@ from collections.abc import Iterable
 import numpy as np
 from numpy.typing import NDArray
 
-from common.geometry import FACES, Box, BoxSide, MarkerOnSide, Pose
+from common.geometry import FACES, Box, BoxSide, MarkerOnSide, Pose, hidden
 from common.geometry.camera import NEAR_MM
 from common.labels import FaceName
 
 Array = NDArray[np.float64]
 
 _SAMPLES = np.linspace(-0.5, 0.5, 5)
-_REACHED = 1.0 - 1e-3
-"""A sight line that ends on a surface must not count as blocked by that very surface."""
 
 
 def viewing_angle(pose: Pose, face: FaceName, at: Array) -> float:
@@ -40,18 +38,6 @@ def faces_camera(pose: Pose, box: Box, side: BoxSide, marker: MarkerOnSide) -> b
     return bool(centre[2] > NEAR_MM) and marker_angle(pose, box, side, marker) < 90.0
 
 
-def hidden(points: Array, others: Iterable[tuple[Box, Pose]]) -> NDArray[np.bool_]:
-    """Which points (N, 3), camera frame, mm, are hidden from the camera behind one of the cuboids."""
-    blocked = np.zeros(len(points), dtype=bool)
-    for box, pose in others:
-        width, height, depth = box.size_mm
-        half = np.array([width, depth, height]) / 2
-        back = pose.inverse()
-        eye = back.apply(np.zeros(3))[0]
-        blocked |= _crosses(eye, back.apply(points), half)
-    return blocked
-
-
 def marker_hidden(
     pose: Pose, box: Box, side: BoxSide, marker: MarkerOnSide, others: Iterable[tuple[Box, Pose]]
 ) -> bool:
@@ -60,17 +46,3 @@ def marker_hidden(
     grid = np.column_stack([x.ravel(), y.ravel(), np.zeros(x.size)]) * (marker.size_mm + 2 * marker.border_mm)
     points = pose.apply(box.marker_pose(side, marker).apply(grid))
     return bool(hidden(points, others).all())
-
-
-def _crosses(eye: Array, ends: Array, half: Array) -> NDArray[np.bool_]:
-    """Which segments from ``eye`` to ``ends`` pass through the axis-aligned cuboid of half size ``half``.
-
-    Method: slabs (Kay and Kajiya 1986).
-    """
-    way = ends - eye
-    way = np.where(np.abs(way) < 1e-12, 1e-12, way)
-    first, second = (-half - eye) / way, (half - eye) / way
-    enters = np.minimum(first, second).max(axis=1)
-    leaves = np.maximum(first, second).min(axis=1)
-    crossed: NDArray[np.bool_] = (enters < leaves) & (leaves > 0) & (enters < _REACHED)
-    return crossed

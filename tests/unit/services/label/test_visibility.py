@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 from common.geometry import Box, Pose
-from services.label.visibility import faces_camera, hidden, marker_angle, marker_hidden, viewing_angle
+from services.label.visibility import faces_camera, marker_angle, marker_hidden, viewing_angle
 from tests.unit.services.label.truth import BOX, looking_at
 
 PLACES = {marker.id: (side, marker) for side, marker in BOX.markers()}
@@ -35,15 +35,6 @@ def test_viewing_angle_by_hand():
     # to the side by as much as it is away: the sight line comes in at 45 degrees
     assert viewing_angle(looking_at(0, 0, 1000, (900, 0)), "front", np.array([0, -100.0, 0])) == pytest.approx(45)
     assert marker_angle(looking_at(180, 0, 1000), BOX, *PLACES[0]) == pytest.approx(180)
-
-
-def test_a_box_in_front_hides_what_lies_behind_it():
-    near = Box("near", "box", (100.0, 100.0, 100.0), ())
-    at = looking_at(0, 0, 500)
-    points = np.array([[0, 0, 1000], [200, 0, 1000], [0, 0, 400], [0, 0, 450.01], [99, 0, 1000.0]])
-    # the box covers x/z up to 50/450 at its front
-    assert hidden(points, [(near, at)]).tolist() == [True, False, False, False, True]
-    assert hidden(points, []).tolist() == [False] * 5
 
 
 def test_a_surface_does_not_hide_itself():
