@@ -47,7 +47,7 @@ class OrderDesk:
     def __init__(
         self, keeper: SessionKeeper, writer: Writer, disk: DiskThread, wanted: Wanted, answer: GiveAnswer
     ) -> None:
-        self._keeper, self._writer, self._disk, self._wanted, self._answer = keeper, writer, disk, wanted, answer
+        self._keeper, self._writer, self._disk, self._wanted, self._give_answer = keeper, writer, disk, wanted, answer
         self._orders = StoreOrders()
         self._parked: deque[tuple[Return, Order]] = deque()
         self._switches: deque[Callable[[], None]] = deque()
@@ -56,6 +56,7 @@ class OrderDesk:
         self.stored = Rate()
         self.bytes_written = 0
         self.newest_order_ns = 0
+        self.newest_answer_ns = 0
 
     @property
     def backlog(self) -> int:
@@ -107,6 +108,10 @@ class OrderDesk:
                     raise RefusedError(f"the store takes no {type(order).__name__}", code="bad_order")
         except TagmillError as error:
             self._refuse(return_, order, _info(error))
+
+    def _answer(self, return_: Return, answer: Answer) -> None:
+        self.newest_answer_ns = clock.monotonic_ns()
+        self._give_answer(return_, answer)
 
     def _refuse(self, return_: Return, order: Order, error: ErrorInfo) -> None:
         self.refused.add(error.code)

@@ -119,10 +119,12 @@ def pixels(frame: int, width: int = WIDTH, height: int = HEIGHT) -> tuple[np.nda
 class StoreSide:
     """Orders samples as the label process does: a slot is free again when its answer has come."""
 
-    def __init__(self, endpoints: Endpoints, slots: int = 16, *, with_original: bool = False) -> None:
-        name = segment_name(endpoints.prefix, "label.0.cam0", new_boot())
+    def __init__(
+        self, endpoints: Endpoints, slots: int = 16, *, with_original: bool = False, identity: str = "label.0"
+    ) -> None:
+        name = segment_name(endpoints.prefix, f"{identity}.cam0", new_boot())
         self.ring = SampleRing(name, WIDTH, HEIGHT, True, slots, with_original)
-        self.client = OrderClient(endpoints.orders_store, "label.0", window=256)
+        self.client = OrderClient(endpoints.orders_store, identity, window=256)
         self.answers: dict[str, Answer] = {}
         self._slots: dict[str, int] = {}
         self._poller = Poller(self.client)
