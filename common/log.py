@@ -7,6 +7,7 @@ dropped and counted, and the next line that gets through is preceded by the coun
 from __future__ import annotations
 
 import atexit
+import json
 import logging
 import os
 import queue
@@ -18,6 +19,7 @@ from typing import Any, cast
 import structlog
 from structlog.typing import FilteringBoundLogger
 
+from common import clock
 from common.errors import TagmillError
 
 _QUEUE_LINES = 2000
@@ -30,8 +32,9 @@ class QueueWriter:
     ``dropped`` counts lines that found the queue full or the reader of the pipe gone.
     """
 
-    def __init__(self, descriptor: int, size: int = _QUEUE_LINES) -> None:
+    def __init__(self, descriptor: int, size: int = _QUEUE_LINES, service: str = "") -> None:
         self.dropped = 0
+        self._service = service
         self._descriptor = descriptor
         self._size = size
         self._guard = threading.Lock()
@@ -77,11 +80,15 @@ class QueueWriter:
             with self._guard:
                 untold, self._untold = self._untold, 0
             if untold:
-                self._put(f'{{"event": "log.dropped", "level": "warning", "count": {untold}}}')
+                self._put(self._told(untold))
             if isinstance(line, threading.Event):
                 line.set()
             else:
                 self._put(line)
+
+    def _told(self, count: int) -> str:
+        line = {"count": count, "event": "log.dropped", "service": self._service, "level": "warning"}
+        return json.dumps({**line, "timestamp": clock.iso_utc(clock.wall_ns())})
 
     def _put(self, line: str) -> None:
         data = line.encode("utf-8", "backslashreplace") + b"\n"
@@ -126,7 +133,7 @@ def setup(service_id: str, level: str = "info", stream: Any = None) -> QueueWrit
     global _writer
     shutdown()
     target = stream or sys.stderr
-    _writer = QueueWriter(target.fileno())
+    _writer = QueueWriter(target.fileno(), service=service_id)
     _configure(_writer, readable=target.isatty(), level=level)
     structlog.contextvars.clear_contextvars()
     structlog.contextvars.bind_contextvars(service=service_id)

@@ -10,7 +10,7 @@ import msgpack
 import zmq
 
 from common import clock, log
-from common.bus.endpoints import Endpoints, is_local
+from common.bus.endpoints import Endpoints, check_tcp, is_local
 from common.bus.gatekeeper import Gatekeeper
 from common.bus.keys import client_pair, server_pair, server_public
 from common.bus.locks import NameLock
@@ -43,6 +43,8 @@ class CommandServer:
         self.bad = 0
         self.unreachable = 0
         address = endpoints.command
+        if not address.startswith("ipc://"):
+            check_tcp(address)
         if not is_local(address) and keys_dir is None:
             raise ConfigError(
                 f"network.command is {address}, which other machines can reach: that needs CURVE keys; "
@@ -138,6 +140,8 @@ class CommandClient:
 
     def __init__(self, endpoints: Endpoints | str, timeout_s: float = 5.0, keys_dir: Path | None = None) -> None:
         self._address = endpoints if isinstance(endpoints, str) else endpoints.command
+        if not self._address.startswith("ipc://"):
+            check_tcp(self._address)
         self._timeout_s = timeout_s
         self._ids = itertools.count(1)
         self._socket = new_socket(zmq.DEALER, {zmq.MAXMSGSIZE: MAX_ANSWER_BYTES})
@@ -150,7 +154,7 @@ class CommandClient:
             self._socket.connect(self._address)
         except zmq.ZMQError as error:
             self._socket.close(linger=0)
-            raise ConfigError(f"'{self._address}' is no address of a command socket: {error.strerror}") from error
+            raise ConfigError(f"the command socket {self._address} can't be reached: {error.strerror}") from error
         except ConfigError:
             self._socket.close(linger=0)
             raise

@@ -112,6 +112,17 @@ def is_local(address: str) -> bool:
         return False
 
 
+def check_tcp(address: str) -> None:
+    """Raise ConfigError unless ``address`` is ``tcp://HOST:PORT``; ZeroMQ itself takes port 99999 for 34463."""
+    transport, _, rest = address.partition("://")
+    host, _, port = rest.rpartition(":")
+    if transport != "tcp" or not host or not (port.isdecimal() and 0 < int(port) < 65536):
+        raise ConfigError(
+            f"network.command '{address}' is no address; use tcp://HOST:PORT with a port from 1 to 65535, "
+            "e.g. tcp://127.0.0.1:5750"
+        )
+
+
 def ipc_path(address: str) -> Path:
     """The socket file of an ``ipc://`` address."""
     transport, _, rest = address.partition("://")

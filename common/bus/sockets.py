@@ -43,8 +43,8 @@ def end_context() -> None:
 class Binding:
     """One socket bound to one ipc path, under the path's lock.
 
-    The listener is made here and given to ZeroMQ, because ZeroMQ removes a path of its own making at some time
-    *after* ``close``, when a successor may have bound it already.
+    The listener is made here and given to ZeroMQ, because whether ZeroMQ removes a path of its own making depends
+    on its version: never, or at some time *after* ``close``, when a successor may have bound it already.
     """
 
     def __init__(self, bound: Socket, address: str, holder: str) -> None:

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import os
 import signal
 import subprocess
 import sys
@@ -125,9 +124,8 @@ def test_a_bad_rig_tells_all_and_ends_with_78_after_startsecs(stack: Stack, tmp_
     assert "Traceback" not in process.log()
 
 
-@pytest.mark.parametrize("arguments", [(), ("--rig",), ("--rig", "r.yaml", "--instance", "x"), ("--unknown",)])
-def test_a_bad_command_line_is_a_bad_configuration(stack: Stack, arguments: tuple[str, ...]) -> None:
-    process = stack.start_module(ECHO, *arguments)
+def test_a_bad_command_line_is_a_bad_configuration(stack: Stack) -> None:
+    process = stack.start_module(ECHO, "--rig", "r.yaml", "--unknown")
     wait_for(lambda: "command line" in process.log(), 20, "the report")
     process.send_signal(signal.SIGTERM)  # also ends the stay
     assert process.wait() == 78
@@ -265,4 +263,3 @@ def test_the_log_is_json_with_the_service_bound(stack: Stack, rig: Path) -> None
     event = process.events("service.opened")[0]
     assert event["service"] == "echo"
     assert event["pid"] == process.pid
-    assert os.path.basename(process.name) == ECHO
