@@ -9,7 +9,6 @@ from __future__ import annotations
 from common.bus import Poller, Publisher, Subscriber
 from common.config.models import CameraConfig
 from common.errors import ConfigError
-from common.frames import sweep
 from common.geometry import CameraModel
 from common.labels import CameraLabel
 from common.messages import Labels, RecordingState
@@ -42,15 +41,12 @@ class CaptureService:
         self._grabber: Grabber | None = None
 
     def open(self) -> None:
-        """Find the driver (ConfigError if it can't be used), clear what an earlier life left, start grabbing."""
+        """Find the driver (ConfigError if it can't be used), start grabbing; the runner has swept dead rings."""
         context, name = self._context, self._name
         extra = context.args.camera_file
         rig = context.rig if extra is None else context.rig.with_camera_file(extra)
         config = rig.camera(name)
         driver = load_driver(config.driver)
-        prefix = context.endpoints.prefix
-        for segment in sweep(prefix, context.id):
-            context.log.info("ring.swept", ring=segment)
         self._publisher = Publisher(context.endpoints, context.id, context.boot)
         self._subscriber = Subscriber(context.endpoints)
         self._subscriber.subscribe(RECORDING, name)
@@ -58,7 +54,7 @@ class CaptureService:
         unopened = rig.calibration(name) or _placeholder(name, config)
         fps = config.fps or UNKNOWN_FPS
         self._announcer = Announcer(self._publisher, context.boot, config.driver, unopened, fps)
-        rings = Rings(prefix, context.id, context.boot, rig.config.ring.slots)
+        rings = Rings(context.endpoints.prefix, context.id, context.boot, rig.config.ring.slots)
         log = context.log.bind(camera=name)
         self._grabber = Grabber(
             lambda: driver(name, config, rig), self._announcer, rings, self._cues, context.boot, log
