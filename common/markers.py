@@ -126,14 +126,17 @@ def _read(path: Path) -> cv2.aruco.Dictionary:
     except (cv2.error, SystemError) as error:
         raise ConfigError(f"{path} is no OpenCV FileStorage file (such a YAML file begins with '%YAML:1.0')") from error
     try:
-        whole = storage.isOpened() and dictionary.readDictionary(storage.root())
-        fault = "it needs nmarkers, markersize and marker_0 ... marker_<nmarkers-1>"
+        # cv2 5 reads a marker of the wrong length without complaint, so look first.
+        whole = storage.isOpened() and _is_whole(storage.root()) and dictionary.readDictionary(storage.root())
     except (cv2.error, SystemError):
-        whole, fault = False, "each marker needs markersize x markersize characters 0 or 1"
+        whole = False
     finally:
         storage.release()
-    if not whole or dictionary.bytesList is None or not len(dictionary.bytesList):
-        raise ConfigError(f"{path} is no marker dictionary: {fault}")
+    if not whole:
+        raise ConfigError(
+            f"{path} is no marker dictionary: it needs nmarkers, markersize and marker_0 ... marker_<nmarkers-1>, "
+            "each a quoted text of markersize x markersize characters 0 or 1"
+        )
     distance = _least_distance(dictionary)
     if distance < 1:
         raise ConfigError(
@@ -143,6 +146,19 @@ def _read(path: Path) -> cv2.aruco.Dictionary:
         # A file may leave it out; what can be corrected without doubt follows from the patterns.
         dictionary.maxCorrectionBits = (distance - 1) // 2
     return dictionary
+
+
+def _is_whole(root: cv2.FileNode) -> bool:
+    sizes = [root.getNode(name) for name in ("nmarkers", "markersize")]
+    if not all(node.isInt() for node in sizes):
+        return False
+    count, side = (int(node.real()) for node in sizes)
+    if count < 1 or side < 1:
+        return False
+    patterns = (root.getNode(f"marker_{marker}") for marker in range(count))
+    return all(
+        node.isString() and len(node.string()) == side * side and set(node.string()) <= {"0", "1"} for node in patterns
+    )
 
 
 def _least_distance(dictionary: cv2.aruco.Dictionary) -> int:

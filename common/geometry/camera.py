@@ -82,7 +82,7 @@ class CameraModel:
         if self.model == "fisheye":
             found = cv2.fisheye.undistortPoints(uv, self.matrix, self.distortion[:4], criteria=criteria)
         else:
-            found = cv2.undistortPointsIter(uv, self.matrix, self.distortion, np.eye(3), np.eye(3), criteria)
+            found = _undistorted(uv, self.matrix, self.distortion, criteria)
         rays = np.asarray(found, dtype=np.float64).reshape(-1, 2)
         if self.distortion.any() or self.model == "fisheye":
             with np.errstate(invalid="ignore"):
@@ -138,3 +138,12 @@ class CameraModel:
         if len(reached):
             return float(min(radii[reached[0]] * MARGIN, radii[turn] * 0.98))
         return float(max(radii[turn] * 0.98, radii[1]))
+
+
+def _undistorted(uv: Array, matrix: Array, distortion: Array, criteria: tuple[int, int, float]) -> Array:
+    """x/z, y/z (N, 1, 2) of pixels (N, 1, 2); cv2 5 moved the criteria into undistortPoints itself."""
+    if hasattr(cv2, "undistortPointsIter"):
+        found = cv2.undistortPointsIter(uv, matrix, distortion, np.eye(3), np.eye(3), criteria)
+    else:
+        found = cv2.undistortPoints(uv, matrix, distortion, criteria=criteria)  # type: ignore[call-overload]
+    return np.asarray(found, dtype=np.float64)

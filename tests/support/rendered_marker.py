@@ -92,10 +92,11 @@ def _rays(pixels: Array, lens: Array) -> Array:
     """x/z, y/z (N, 2) of the rays through these pixels."""
     if not lens.any():
         return (pixels - MATRIX[:2, 2]) / np.diag(MATRIX)[:2]
+    at = pixels.reshape(-1, 1, 2)
     criteria = (cv2.TERM_CRITERIA_COUNT | cv2.TERM_CRITERIA_EPS, 15, 1e-8)
-    return cv2.undistortPointsIter(pixels.reshape(-1, 1, 2), MATRIX, lens, np.eye(3), np.eye(3), criteria).reshape(
-        -1, 2
-    )
+    if hasattr(cv2, "undistortPointsIter"):
+        return cv2.undistortPointsIter(at, MATRIX, lens, np.eye(3), np.eye(3), criteria).reshape(-1, 2)
+    return cv2.undistortPoints(at, MATRIX, lens, criteria=criteria).reshape(-1, 2)
 
 
 def _within(u: Array, v: Array, low: float, high: float) -> NDArray[np.bool_]:

@@ -271,9 +271,10 @@ def test_cameras_are_shared_out_by_the_table(place: Place, tmp_path: Path) -> No
             made.step()
         assert made.detections("cam1") == []
         assert made.service.report().cameras == ("cam0",)
-        made.control.publish(SHARES, (), Shares(detect={"cam0": 1, "cam1": 1}, label={}))
         while not made.detections("cam1"):
             assert time.monotonic() < deadline
+            made.control.publish(SHARES, (), Shares(detect={"cam0": 1, "cam1": 1}, label={}))
+            other.tell()
             other.capture(scene(None))
             made.step()
         # What instance 0 has looked at meanwhile is not this one's to count.
