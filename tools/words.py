@@ -22,6 +22,7 @@ WORDS: dict[str, Words] = {
     "ambiguous_pose": Words("Two poses fit equally well.", "Show a second side or come nearer."),
     "incomplete": Words("Part of the object is outside the picture.", "Step back or turn the camera."),
     "bad_pose": Words("The markers don't fit together.", "Check marker sizes and offsets in the rig file."),
+    "contradicts": Words("The markers contradict each other.", "Check which marker sits on which side."),
     "bad_fit": Words("The object's pose is not exact enough.", "Hold still, come nearer, or give more light."),
     "no_pose": Words("No pose follows from what is seen.", "Show more of the object's markers."),
     # --- cameras and frames ------------------------------------------------------------------------------------
@@ -32,6 +33,7 @@ WORDS: dict[str, Words] = {
     "frame_gone": Words("That frame is gone.", "Ask for a newer one, or leave 'frame' out."),
     "frame_lost": Words("The frame was overwritten too soon.", "The machine is too slow for this rate: record slower."),
     "not_due": Words("That frame is being recorded already.", "Try again with the next one."),
+    "frame_skipped": Words("A frame was skipped.", "The camera goes on with the next one."),
     "not_new": Words("This view was taken already.", "Turn the object."),
     "end_of_stream": Words("The file camera is at its end.", "Start a new recording to play it again."),
     "pixels_gone": Words("The picture was lost before it was saved.", "Try again; the label service was restarted."),

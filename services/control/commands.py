@@ -120,8 +120,10 @@ GENERAL_ERRORS = (
 )
 """What any request can be refused with."""
 
-_LABEL = ("label_down", "timeout", "bad_message")
-_STORE = ("store_down", "timeout", "bad_message")
+_LABEL = ("label_down", "timeout", "bad_order")
+_STORE = ("store_down", "timeout", "bad_order")
+_DISK = ("disk_full", "read_only", "disk_error", "no_dataset")
+_SESSION = ("session_differs", "session_busy", "bad_dataset", "other_schema")
 
 COMMANDS: dict[str, Row] = {
     row.name: row
@@ -141,7 +143,8 @@ COMMANDS: dict[str, Row] = {
             (
                 *_LABEL,
                 *("no_camera", "no_object", "ambiguous_pose", "incomplete", "object_in_view", "no_frame", "frame_gone"),
-                *("frame_lost", "backlog_full", "store_down", "disk_full", "read_only", "no_space", "cameras_failed"),
+                *("frame_lost", "not_due", "bad_pose", "no_pose", "no_space", "backlog_full", "store_down"),
+                *("pixels_gone", "worker_died", "bad_sample", "cameras_failed", *_DISK, *_SESSION),
             ),
         ),
         Row(
@@ -149,21 +152,21 @@ COMMANDS: dict[str, Row] = {
             StartCommand,
             "begin a recording; it ends by 'stop', by 'until_count' or at the end of a file camera",
             "recording (its id), cameras, missing (cameras of the rig that are not there)",
-            (*_LABEL, "no_camera", "wrong_state", "store_down", "cameras_failed"),
+            (*_LABEL, "no_camera", "wrong_state", "cameras_failed"),
         ),
         Row(
             "stop",
             StopCommand,
             "end one recording, or all that run; answers once everything is durable",
             "ledgers",
-            (*_LABEL, "no_recording", "store_down"),
+            (*_LABEL, "no_recording", "store_down", "cameras_failed", *_DISK, *_SESSION),
         ),
         Row(
             "ledger",
             LedgerCommand,
             "what became of every frame of a recording, while it runs and after",
             "ledger",
-            (*_STORE, "no_recording"),
+            (*_STORE, "no_recording", *_DISK, *_SESSION),
         ),
         Row(
             "preview",
@@ -177,14 +180,14 @@ COMMANDS: dict[str, Row] = {
             SessionCommand,
             "open or continue a session without a restart",
             "session (the name that is open now)",
-            (*_STORE, "session_differs", "wrong_state", "disk_full", "read_only"),
+            (*_STORE, "wrong_state", "bad_name", *_DISK, *_SESSION),
         ),
         Row(
             "reload",
             ReloadCommand,
             "check the rig file again; label, store and control take it over, or it is refused with all its mistakes",
             "changed (sections of the rig file)",
-            (*_LABEL, "store_down", "bad_config", "needs_restart", "session_differs", "wrong_state"),
+            (*_LABEL, "store_down", "bad_config", "needs_restart", "wrong_state", *_DISK, *_SESSION),
         ),
         Row("help", HelpCommand, "the commands with their fields", "commands"),
     )
@@ -233,4 +236,4 @@ def type_words(part: dict[str, Any]) -> str:
     if low is None and high is None:
         return word
     above = "above " if "exclusiveMinimum" in part else ""
-    return f"{word} {above}{low:.15g}" + ("" if high is None else f"..{high:.15g}")
+    return f"{word} {above}{low:.15g}..{high:.15g}" if high is not None else f"{word} from {above}{low:.15g}"

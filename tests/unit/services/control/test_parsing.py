@@ -175,4 +175,5 @@ def test_help_describes_every_command_and_field() -> None:
         "default": 1,
         "words": "how many samples, for each camera",
     }
+    assert told["record"]["fields"]["frame"]["type"] == "a whole number from 1, or nil"
     assert len(msgpack.packb(help_answer())) < MAX_REQUEST_BYTES
