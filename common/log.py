@@ -134,9 +134,7 @@ def setup(service_id: str, level: str = "info", stream: Any = None) -> QueueWrit
     shutdown()
     target = stream or sys.stderr
     _writer = QueueWriter(target.fileno(), service=service_id)
-    _configure(_writer, readable=target.isatty(), level=level)
-    structlog.contextvars.clear_contextvars()
-    structlog.contextvars.bind_contextvars(service=service_id)
+    _configure(_writer, readable=target.isatty(), level=level, service=service_id)
     root = logging.getLogger()
     root.handlers[:] = [_FromLibraries(logging.WARNING)]
     return _writer
@@ -161,15 +159,22 @@ def shutdown(timeout_s: float = _FLUSH_S) -> None:
         writer.close(timeout_s)
 
 
-def _configure(writer: QueueWriter | None, *, readable: bool, level: str) -> None:
+def _configure(writer: QueueWriter | None, *, readable: bool, level: str, service: str | None = None) -> None:
     renderer: Any = (
         structlog.dev.ConsoleRenderer(colors=sys.stderr.isatty())
         if readable
         else structlog.processors.JSONRenderer(default=str)
     )
+
+    def name_service(_logger: Any, _name: str, event: MutableMapping[str, Any]) -> MutableMapping[str, Any]:
+        # Not by contextvars: a thread starts without those of the thread that made it.
+        if service is not None:
+            event["service"] = service
+        return event
+
     structlog.configure(
         processors=[
-            structlog.contextvars.merge_contextvars,
+            name_service,
             structlog.processors.add_log_level,
             structlog.processors.TimeStamper(fmt="iso", utc=True),
             _expected_without_traceback,

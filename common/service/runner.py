@@ -202,9 +202,9 @@ def _watch_threads(context: Context) -> list[str]:
 
     def on_crash(args: threading.ExceptHookArgs) -> None:
         name = "?" if args.thread is None else args.thread.name
-        crashes.append(name)
         info = (args.exc_type, args.exc_value, args.exc_traceback)
         context.log.error("thread.crashed", thread=name, exc_info=info)
+        crashes.append(name)  # last: it ends the main loop, and with it the log
 
     threading.excepthook = on_crash
     return crashes

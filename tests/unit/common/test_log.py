@@ -9,6 +9,7 @@ import os
 import subprocess
 import sys
 import termios
+import threading
 from collections.abc import Iterator
 from pathlib import Path
 from typing import Any
@@ -62,6 +63,13 @@ def test_an_event_is_a_json_line_with_its_service(lines: Any) -> None:
         "camera": "cam0",
         "reason": "late",
     }
+
+
+def test_a_thread_logs_as_its_service_too(lines: Any) -> None:
+    thread = threading.Thread(target=lambda: log.get().info("from.thread"))
+    thread.start()
+    thread.join(5)
+    assert lines()[0]["service"] == "label.0"
 
 
 def test_a_logger_made_before_set_up_follows_it(tmp_path: Path) -> None:
