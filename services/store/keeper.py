@@ -132,7 +132,9 @@ class SessionKeeper:
         now = clock.monotonic_ns()
         busy = info.code == SESSION_BUSY and now - self._opening_since < _BUSY_LIMIT_NS
         if busy and self.session is None:
-            self._retry_ns = now + _BUSY_RETRY_NS
+            if info != self.refusal:
+                self._log.warning("session.busy", reason=info.message)
+            self._retry_ns, self.refusal = now + _BUSY_RETRY_NS, info
             return
         if self.session is not None:
             self.phase = Phase.OPEN
