@@ -153,7 +153,10 @@ class RigConfig(Section):
 
 
 class SyntheticOptions(Section):
-    """Keys of ``driver: synthetic``. The scene moves on a path that follows from ``seed``."""
+    """Keys of ``driver: synthetic``. The scene moves on a path that follows from ``seed``.
+
+    ``view``: degrees by which this camera went round the scene's middle; cameras of one seed see one scene.
+    """
 
     seed: int = 1
     depth: bool = True
@@ -165,6 +168,7 @@ class SyntheticOptions(Section):
     distortion: tuple[float, ...] = (0.08, -0.15, 0.0005, -0.0005, 0.05)
     distance_mm: Annotated[float, Field(gt=0)] | None = None
     speed: Annotated[float, Field(ge=0, le=100)] = 1.0
+    view: Annotated[float, Field(ge=-180, le=180)] = 0.0
     frames: Annotated[int, Field(ge=1)] | None = None
     prerendered: Annotated[int, Field(ge=0, le=10000)] = 0
 

@@ -1,0 +1,83 @@
+"""Pictures on planes: minified copies for looking at them from afar, and marker patterns that stay exact."""
+
+from __future__ import annotations
+
+import cv2
+import numpy as np
+from numpy.typing import NDArray
+
+Picture = NDArray[np.uint8]
+Values = NDArray[np.float32]
+
+
+class Texture:
+    """A BGR picture of a plane of ``width_mm`` x ``height_mm``, row 0 at the top edge.
+
+    Minified copies are made on demand, separately for both axes, because a plane seen at a grazing angle is
+    foreshortened in one direction only.
+    """
+
+    def __init__(self, picture: Picture, width_mm: float, height_mm: float) -> None:
+        self.width_mm = width_mm
+        self.height_mm = height_mm
+        self._levels: dict[tuple[int, int], Picture] = {(0, 0): np.ascontiguousarray(picture)}
+
+    def level(self, mm_per_pixel: tuple[float, float]) -> Picture:
+        """The copy whose texels are about as large as the given pixels' footprint (mm along x, along y)."""
+        full = self._levels[0, 0]
+        texel = (self.width_mm / full.shape[1], self.height_mm / full.shape[0])
+        wanted = (
+            _halvings(mm_per_pixel[0] / texel[0], full.shape[1]),
+            _halvings(mm_per_pixel[1] / texel[1], full.shape[0]),
+        )
+        if wanted not in self._levels:
+            size = (max(full.shape[1] >> wanted[0], 1), max(full.shape[0] >> wanted[1], 1))
+            self._levels[wanted] = np.asarray(cv2.resize(full, size, interpolation=cv2.INTER_AREA), dtype=np.uint8)
+        return self._levels[wanted]
+
+
+class Pattern:
+    """A marker's cells as a function of continuous coordinates, anti-aliased for the pixel's footprint.
+
+    The transition between two cells is a ramp as wide as a pixel's footprint, centred on the very cell
+    border; so an edge lies exactly where it belongs whatever the scale, which no texture of texels
+    interpolated between their centres can do (and cv2.remap rounds coordinates to 1/32 texel).
+    """
+
+    def __init__(self, bitmap: NDArray[np.uint8], *, margin: bool) -> None:
+        """``bitmap`` (n, n) 0 black, 1 white, upright; ``margin``: white outside, else the outer cells go on."""
+        self.cells = len(bitmap)
+        padded = (
+            np.pad(bitmap.astype(np.float32), 1, constant_values=1.0)
+            if margin
+            else np.pad(bitmap.astype(np.float32), 1, mode="edge")
+        )
+        p00, p01, p10, p11 = padded[:-1, :-1], padded[:-1, 1:], padded[1:, :-1], padded[1:, 1:]
+        # value = c0 + c1 x + c2 y + c3 x y with x, y = 0..1 across the ramps around a grid point.
+        self._coefficients = tuple(
+            np.ascontiguousarray(c).ravel() for c in (p00, p01 - p00, p10 - p00, p11 - p10 - p01 + p00)
+        )
+
+    def sample(self, a: Values, b: Values, footprint: tuple[float, float]) -> Values:
+        """Brightness 0..1 at cell coordinates ``a`` (rightwards), ``b`` (downwards), 0..n over the black square.
+
+        ``footprint``: a pixel's extent in cells along both; above one cell the pattern is only interpolated.
+        """
+        column, x = self._ramp(a, footprint[0])
+        row, y = self._ramp(b, footprint[1])
+        index = (row * (self.cells + 1) + column).astype(np.intp)
+        c0, c1, c2, c3 = (np.take(c, index) for c in self._coefficients)
+        value: Values = c0 + c1 * x + (c2 + c3 * x) * y
+        return value
+
+    def _ramp(self, coordinate: Values, footprint: float) -> tuple[Values, Values]:
+        border = np.clip(np.rint(coordinate), 0, self.cells)
+        width = np.float32(max(min(footprint, 1.0), 1e-6))
+        return border, np.clip((coordinate - border) / width + np.float32(0.5), 0.0, 1.0)
+
+
+def _halvings(ratio: float, texels: int) -> int:
+    """How often to halve so that a texel is between 0.71 and 1.41 pixels, never above the footprint by more."""
+    if not np.isfinite(ratio) or ratio <= 1.0:
+        return 0
+    return min(round(float(np.log2(ratio))), max(texels.bit_length() - 1, 0))
