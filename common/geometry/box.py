@@ -121,7 +121,17 @@ class Box:
 
     def marker_pose(self, side: BoxSide, marker: MarkerOnSide) -> Pose:
         """Marker frame to object frame: R = [right up normal] Rz(rotation), t = face centre + offset."""
-        on_face = self.face_pose(side.face)
+        kept = self._marker_poses.get((side.face, marker))
+        if kept is None:
+            kept = self._marker_poses[side.face, marker] = self._place(side.face, marker)
+        return kept
+
+    @cached_property
+    def _marker_poses(self) -> dict[tuple[FaceName, MarkerOnSide], Pose]:
+        return {}
+
+    def _place(self, face: FaceName, marker: MarkerOnSide) -> Pose:
+        on_face = self.face_pose(face)
         angle = np.radians(marker.rotation_deg)
         turn = np.array([[np.cos(angle), -np.sin(angle), 0], [np.sin(angle), np.cos(angle), 0], [0, 0, 1.0]])
         return on_face.after(Pose(turn, np.array(marker.offset_mm, dtype=np.float64)))

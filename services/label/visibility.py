@@ -13,6 +13,7 @@ from common.labels import FaceName
 
 Array = NDArray[np.float64]
 
+_NORMALS = {name: np.array(face.normal, dtype=np.float64) for name, face in FACES.items()}
 _SAMPLES = np.linspace(-0.5, 0.5, 5)
 
 
@@ -21,7 +22,7 @@ def viewing_angle(pose: Pose, face: FaceName, at: Array) -> float:
 
     0 is squarely facing the camera, above 90 the face is turned away.
     """
-    normal = pose.rotation @ np.array(FACES[face].normal, dtype=np.float64)
+    normal = pose.rotation @ _NORMALS[face]
     point = pose.apply(at)[0]
     cosine = float(-normal @ point / max(float(np.linalg.norm(point)), 1e-12))
     return float(np.degrees(np.arccos(np.clip(cosine, -1.0, 1.0))))
