@@ -75,7 +75,7 @@ class LedgerCommand(Command):
 class PreviewCommand(Command):
     """Watch a camera's inpainted preview."""
 
-    camera: Annotated[str, Field(pattern=NAME_PATTERN, description="a camera's name")]
+    camera: Camera
     inpaint: Annotated[bool, Field(description="with the markers erased")] = True
 
 
@@ -172,8 +172,8 @@ COMMANDS: dict[str, Row] = {
             "preview",
             PreviewCommand,
             "a lease of 5 s for inpainted previews of a camera; its viewer renews it",
-            "lease_s",
-            (*_LABEL, "no_camera"),
+            "cameras, lease_s",
+            (*_LABEL, "no_camera", "cameras_failed"),
         ),
         Row(
             "session",

@@ -8,7 +8,7 @@ from typing import Any
 from common import clock
 from common.errors import RefusedError
 from common.ids import new_recording
-from common.labels import Ledger, RecordingSpec
+from common.labels import CameraLedger, Ledger, RecordingSpec
 from common.messages import (
     Answer,
     ErrorInfo,
@@ -112,6 +112,7 @@ class RecordHandlers:
         )
         failed = _failed(cameras, answers)
         if not failed:
+            self._begun(spec)
             return {"recording": spec.recording, "cameras": list(cameras), "missing": list(missing)}
         # One that did not answer may have begun all the same.
         begun = [camera for camera in cameras if camera not in failed or failed[camera].code == "timeout"]
@@ -131,6 +132,8 @@ class RecordHandlers:
         failed: dict[str, ErrorInfo] = {}
         for (recording, camera), answer in zip(where, answers, strict=True):
             told[recording].extend(answer.ledgers)
+            for ledger in answer.ledgers:
+                self._stack.told(ledger, camera, self._stack.label_of(camera), clock.monotonic_ns())
             # `no_recording`: it ended by itself meanwhile; its ledger is found below.
             if answer.error is not None and answer.error.code != NO_RECORDING:
                 failed[camera] = answer.error
@@ -157,12 +160,24 @@ class RecordHandlers:
 
     def preview(self, command: PreviewCommand) -> Talk:
         """Pass the lease to the label process that serves the camera."""
-        (camera,) = self._stack.chosen(command.camera)[:1]
-        order = PreviewOrder(key=self._keys.new("preview"), camera=camera, inpaint=command.inpaint)
-        (answer,) = yield Batch((Errand(self._stack.label_of(camera), order),), PREVIEW_S)
-        if answer.error is not None:
-            return refusal(answer.error.code, answer.error.message)
-        return {"camera": camera, "lease_s": PREVIEW_LEASE_S}
+        cameras = self._stack.chosen(command.camera)
+        orders = tuple(
+            Errand(
+                self._stack.label_of(camera),
+                PreviewOrder(key=self._keys.new("preview"), camera=camera, inpaint=command.inpaint),
+            )
+            for camera in cameras
+        )
+        failed = _failed(cameras, (yield Batch(orders, PREVIEW_S)))
+        if failed:
+            return refusal(*_summary(command.camera, failed), cameras=_plain_errors(failed))
+        return {"cameras": list(cameras), "lease_s": PREVIEW_LEASE_S}
+
+    def _begun(self, spec: RecordingSpec) -> None:
+        """Know the recording at once, so that a `stop` right after finds it."""
+        for camera in spec.cameras:
+            ledger = Ledger(spec=spec, phase="running", cameras={camera: CameraLedger()})
+            self._stack.told(ledger, camera, self._stack.label_of(camera), clock.monotonic_ns())
 
     def _stop_errand(self, recording: str, camera: str) -> Errand:
         order = StopOrder(key=self._keys.new("stop"), recording=recording, camera=camera)

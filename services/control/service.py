@@ -117,8 +117,7 @@ class ControlService:
     def report(self) -> Report:
         """What the heartbeat says."""
         now = clock.monotonic_ns()
-        dropped = {f"command:{code}": count for code, count in self._refused.as_dict().items()}
-        dropped |= {f"bus:{kind}": count for kind, count in self._subscriber.bad_kinds.items()}
+        dropped = {f"bus:{kind}": count for kind, count in self._subscriber.bad_kinds.items()}
         if self._commands.unreachable:
             dropped["client_gone"] = self._commands.unreachable
         return Report(
@@ -129,7 +128,8 @@ class ControlService:
                 "waiting": float(self._conversations.waiting + len(self._parked)),
                 "orders": float(self._peers.pending),
                 "missing": float(len(self._stack.roll_call.missing(self._stack.expected, now))),
-            },
+            }
+            | {f"refused:{code}": float(count) for code, count in self._refused.as_dict().items()},
             last_error="a command failed by a mistake in tagmill; see the log" if self._conversations.bugs else None,
         )
 

@@ -11,6 +11,7 @@ from dataclasses import dataclass
 from common.bus import Endpoints
 from common.config import Rig
 from common.errors import RefusedError
+from common.labels import Ledger
 from common.messages import CameraState, Message, RecordingState, ServiceState, Shares
 from services.control.commands import ALL_CAMERAS
 from services.control.recordings import Recordings
@@ -63,6 +64,11 @@ class Stack:
                 self._label.learn(message.instance, message.cameras)
         elif isinstance(message, RecordingState):
             self.recordings.hear(message, source, now_ns, self.roll_call.beats(source))
+
+    def told(self, ledger: Ledger, camera: str, peer: str, now_ns: int) -> None:
+        """What an order's answer says of a recording; its states on the bus come a moment later."""
+        state = RecordingState(camera=camera, ledger=ledger)
+        self.recordings.hear(state, peer, now_ns, self.roll_call.beats(peer))
 
     def tick(self, now_ns: int) -> None:
         """Settle when a round of heartbeats is over, share out new cameras, forget what is long gone."""

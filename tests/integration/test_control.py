@@ -240,6 +240,16 @@ def test_a_recording_runs_from_start_to_its_ledger(up: Up) -> None:
     assert (code, "none is running" in message) == ("no_recording", True)
 
 
+def test_a_stop_right_after_the_start_finds_the_recording(up: Up) -> None:
+    up.wait_for_status(lambda status: status["settled"], "control to know the stack")
+    for _ in range(5):
+        recording = up.ask("start", camera="cam0")["recording"]
+        assert recording in up.ask("status")["recordings"]
+        (ledger,) = up.ask("stop")["ledgers"]
+        assert (ledger["spec"]["recording"], ledger["phase"]) == (recording, "ended")
+    assert up.ask("preview", camera="all") == {"ok": True, "cameras": ["cam0", "cam1"], "lease_s": 5.0}
+
+
 def test_a_start_that_one_camera_refuses_is_taken_back(up: Up) -> None:
     code, message = up.refused("start", camera="all", every_s=99)
     assert (code, "cam1" in message, "no recording was begun" in message) == ("wrong_state", True, True)

@@ -10,13 +10,15 @@ from typing import Any
 from rich.console import Console
 from rich.live import Live
 
+from common import clock
 from common.bus import CommandClient
-from common.errors import EXIT_OK
+from common.errors import EXIT_OK, NoAnswerError, TagmillError
 from tools.commands.client import ask, connected, finish
 from tools.commands.show import ledger_table, progress_line
 
 LOOK_EVERY_S = 0.5
 START_S = 15.0
+GIVE_UP_S = 30.0
 OVER = ("ended", "interrupted")
 
 
@@ -57,17 +59,30 @@ def run(args: argparse.Namespace) -> int:
 
 
 def _wait(client: CommandClient, recording: str, *, quiet: bool) -> dict[str, Any]:
-    """Look twice a second until the recording is over; Ctrl-C ends the waiting, not the recording."""
+    """Look twice a second until the recording is over; Ctrl-C ends the waiting, not the recording.
+
+    A stack that is being restarted is waited for. Raises NoAnswerError if it stays away, TagmillError if nobody
+    knows the recording any more.
+    """
     pause = threading.Event()
+    last_answer_ns = clock.monotonic_ns()
     try:
         with Live(console=Console(stderr=True, quiet=quiet), transient=True, refresh_per_second=4) as live:
             while True:
-                answer = ask(client, {"command": "ledger", "recording": recording})
+                try:
+                    answer = ask(client, {"command": "ledger", "recording": recording})
+                    last_answer_ns = clock.monotonic_ns()
+                except NoAnswerError:
+                    if clock.monotonic_ns() - last_answer_ns > GIVE_UP_S * 1e9:
+                        raise
+                    continue
                 if answer["ok"]:
-                    live.update(progress_line(answer["ledger"]))
-                    if answer["ledger"]["phase"] in OVER:
-                        ledger: dict[str, Any] = answer["ledger"]
+                    ledger: dict[str, Any] = answer["ledger"]
+                    live.update(progress_line(ledger))
+                    if ledger["phase"] in OVER:
                         return ledger
+                elif answer["error"]["code"] == "no_recording":
+                    raise TagmillError(answer["error"]["message"], code="no_recording")
                 pause.wait(LOOK_EVERY_S)
     except KeyboardInterrupt:
         print(f"{recording} goes on; 'tagmill stop' ends it", file=sys.stderr)

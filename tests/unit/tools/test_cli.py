@@ -282,7 +282,7 @@ def test_reload_session_preview_and_help(control: Stub, capsys: pytest.CaptureFi
         lambda request: {
             "reload": {"ok": True, "changed": ["cameras"], "restart": ["capture.cam0"], "warnings": ["hm"]},
             "session": {"ok": True, "session": "monday-2"},
-            "preview": {"ok": True, "camera": "cam0", "lease_s": 5.0},
+            "preview": {"ok": True, "cameras": ["cam0"], "lease_s": 5.0},
             "help": {"ok": True, **help_answer()},
         }[request["command"]]
     )
