@@ -13,7 +13,7 @@ from common.dataset import FOLDERS, SESSION_FILE, write_bytes
 from common.errors import TagmillError
 from common.messages import ErrorInfo
 from services.store.background import DiskThread
-from services.store.disk import NO_DATASET, DiskState, explain, look
+from services.store.disk import DISK_ERROR, NO_DATASET, DiskState, explain, look
 from services.store.ledger import Book
 from services.store.locks import SESSION_BUSY
 from services.store.sessions import OpenSession, SessionDiffersError, Wanted, open_session
@@ -25,6 +25,8 @@ _RETRY_EVERY_NS = 2 * _SECOND
 _BUSY_RETRY_NS = _SECOND // 5
 _BUSY_LIMIT_NS = 10 * _SECOND
 """How long a killed store's last worker is waited for before orders are refused."""
+
+_STALLED_S = 5
 
 _WORKED_IN = tuple(folder for folder in FOLDERS if folder != "original")
 
@@ -53,6 +55,7 @@ class SessionKeeper:
         self.session: OpenSession | None = None
         self.samples: set[str] = set()
         self._wanted: Wanted | None = None
+        self._before: tuple[Wanted, ErrorInfo] | None = None
         self._opened_then: Done | None = None
         self._opening_since = 0
         self._attempt = 0
@@ -65,11 +68,22 @@ class SessionKeeper:
         self._looking = False
         self._next_write_ns = 0
         self._next_look_ns = 0
+        self._look_began_ns = 0
 
     @property
     def book(self) -> Book | None:
         """The open session's book."""
         return None if self.session is None else self.session.book
+
+    @property
+    def problem(self) -> ErrorInfo | None:
+        """Why nothing can be stored now: no session, a fault of the disk, or one that doesn't answer."""
+        found = self.refusal or self.disk.problem
+        waited_s = (clock.monotonic_ns() - self._look_began_ns) / _SECOND if self._looking else 0.0
+        if found is None and self.session is not None and waited_s > _STALLED_S:
+            message = f"the disk of {self.session.folder} has not answered for more than {_STALLED_S} s; samples wait"
+            return ErrorInfo(code=DISK_ERROR, message=message)
+        return found
 
     @property
     def settled(self) -> bool:
@@ -87,6 +101,7 @@ class SessionKeeper:
         """
         if self.disk.problem is not None and self.disk.problem.code == NO_DATASET:
             self.close()
+        self._before = None if self._wanted is None or self.refusal is None else (self._wanted, self.refusal)
         self._wanted, self._opened_then = wanted, then
         self.phase = Phase.OPENING
         self._opening_since = clock.monotonic_ns()
@@ -116,7 +131,7 @@ class SessionKeeper:
             self._take(session)
 
     def _take(self, session: OpenSession) -> None:
-        self.phase, self.refusal = Phase.OPEN, None
+        self.phase, self.refusal, self._before = Phase.OPEN, None, None
         self._next_look_ns = 0
         if session is self.session:
             assert self._wanted is not None
@@ -140,11 +155,16 @@ class SessionKeeper:
             self.phase = Phase.OPEN
             self._answer_opener(info)
             return
-        if info != self.refusal:
+        if self.phase is Phase.OPENING or info != self.refusal:
             self._log.error("session.refused", code=info.code, reason=info.message)
-        self.phase, self.refusal = Phase.REFUSING, info
         # The disk may come back; another rig's session won't change by itself.
         self._retry_ns = None if isinstance(error, SessionDiffersError) else now + _RETRY_EVERY_NS
+        self.phase = Phase.REFUSING
+        if self._before is None:
+            self.refusal = info
+        else:  # somebody asked for another session in vain: go on waiting for the one that was wanted before
+            self._wanted, self.refusal = self._before
+            self._before, self._retry_ns = None, now + _RETRY_EVERY_NS
         self._answer_opener(info)
 
     def _answer_opener(self, error: ErrorInfo | None) -> None:
@@ -238,7 +258,7 @@ class SessionKeeper:
             return now + _SECOND
         if now < self._next_look_ns:
             return self._next_look_ns
-        self._looking, self._next_look_ns = True, now + _LOOK_EVERY_NS
+        self._looking, self._look_began_ns, self._next_look_ns = True, now, now + _LOOK_EVERY_NS
         folder, reserve = session.folder, self._reserve
         self._disk_thread.submit(lambda: look(folder, _WORKED_IN, reserve), self._looked)
         return now + _SECOND

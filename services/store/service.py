@@ -125,7 +125,7 @@ class StoreService:
         if self._keeper is None or self._writer is None:
             return Report()
         keeper, desk = self._keeper, self._desk
-        problem = keeper.refusal or keeper.disk.problem
+        problem = keeper.problem
         numbers = {
             "samples": float(len(keeper.samples)),
             "backlog": float(desk.backlog),

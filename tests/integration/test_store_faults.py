@@ -369,3 +369,21 @@ def test_an_idle_store_uses_no_cpu(stack: Stack, label_side: StoreSide) -> None:
     before = store.cpu_s()
     label_side.receive(3.0)
     assert store.cpu_s() - before < 0.02 * 3 + 0.05
+
+
+def test_asking_for_a_second_session_in_vain_does_not_give_up_the_first(
+    stack: Stack, label_side: StoreSide, listener: Listener
+) -> None:
+    broken = session_of(stack).with_name("broken")
+    for folder in (session_of(stack), broken):
+        folder.mkdir(parents=True)
+        (folder / "session.json").write_text("{")
+    start(stack)
+    wait_for_fault(listener, "test/session.json")
+    refused = label_side.session("broken").error
+    assert refused is not None
+    assert "broken/session.json" in refused.message
+    wait_for_fault(listener, "test/session.json")
+    (session_of(stack) / "session.json").unlink()
+    listener.wait_for_state("store", "running")
+    assert label_side.query().text == "test"
