@@ -22,6 +22,7 @@ from structlog.typing import FilteringBoundLogger
 from common import clock
 from common.errors import TagmillError
 
+WRITER_THREAD = "log-writer"
 _QUEUE_LINES = 2000
 _FLUSH_S = 1.0
 
@@ -72,7 +73,7 @@ class QueueWriter:
         self._pid = os.getpid()
         self._untold = 0
         self._lines: queue.Queue[str | threading.Event | None] = queue.Queue(self._size)
-        self._thread = threading.Thread(target=self._run, args=(self._lines,), name="log-writer", daemon=True)
+        self._thread = threading.Thread(target=self._run, args=(self._lines,), name=WRITER_THREAD, daemon=True)
         self._thread.start()
 
     def _run(self, lines: queue.Queue[str | threading.Event | None]) -> None:

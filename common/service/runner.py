@@ -38,6 +38,28 @@ def main(factory: ServiceFactory, name: str, argv: Sequence[str] | None = None) 
     started_ns = clock.monotonic_ns()
     stop = StopRequest()
     stop.install()
+    code = _guarded(factory, name, argv, stop, parent, started_ns)
+    end_context()
+    stuck = [thread.name for thread in threading.enumerate() if _is_left(thread)]
+    if stuck:
+        log.get().error("service.threads_left", threads=stuck)
+    log.shutdown()
+    stop.uninstall()
+    if stuck:
+        # Python's own end would tear down what a thread inside a driver still uses: a crash after a clean stop.
+        os._exit(code)
+    return code
+
+
+def _guarded(
+    factory: ServiceFactory,
+    name: str,
+    argv: Sequence[str] | None,
+    stop: StopRequest,
+    parent: int,
+    started_ns: int,
+) -> int:
+    """The service's whole life; every way it can end becomes an exit code here."""
     try:
         return _run(factory, name, argv, stop, parent)
     except ConfigError as error:
@@ -50,10 +72,6 @@ def main(factory: ServiceFactory, name: str, argv: Sequence[str] | None = None) 
     except Exception:  # noqa: BLE001 - the outermost frame: a bug gets its traceback and an exit code
         log.get().exception("service.bug")
         return errors.EXIT_BUG
-    finally:
-        end_context()
-        log.shutdown()
-        stop.uninstall()
 
 
 def _run(factory: ServiceFactory, name: str, argv: Sequence[str] | None, stop: StopRequest, parent: int) -> int:
@@ -163,6 +181,10 @@ class _Run:
     def _enter(self, phase: Phase) -> None:
         if self._states.enter(phase):
             self._context.log.info("service.state", phase=phase.value, why=self._stop.why)
+
+
+def _is_left(thread: threading.Thread) -> bool:
+    return thread is not threading.main_thread() and thread.name != log.WRITER_THREAD and thread.is_alive()
 
 
 def _context(name: str, own_id: str, args: argparse.Namespace) -> Context:

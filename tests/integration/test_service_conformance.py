@@ -92,6 +92,7 @@ def test_alone_it_starts_and_sigterm_ends_it(stack: Stack, subject: Subject, rig
     process = start(stack, subject, rig)
     process.wait_for_event("service.opened")
     assert process.stop(signal.SIGTERM, LIMIT_S) == 0
+    assert process.events("service.drain_cut") == [], "idle, it has nothing to drain"
     assert "Traceback" not in process.log()
     assert list(stack.endpoints.run_dir.iterdir()) == []
 

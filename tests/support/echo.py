@@ -2,7 +2,8 @@
 
 Run like any other: ``python -m tests.support.echo --rig F``. What it does with an order is in the order's
 ``recording``: ``die-once`` (kill -9 of itself between doing and answering, the first time), ``bug``,
-``thread-bug``, ``faulty``, ``slow-drain`` (never drained), ``hang`` (does not come back), else just an answer.
+``thread-bug``, ``thread-stuck``, ``faulty``, ``slow-drain`` (never drained), ``hang`` (does not come back), else just
+an answer.
 """
 
 from __future__ import annotations
@@ -77,12 +78,14 @@ class EchoService:
                 raise RuntimeError("told to have a bug")
             case "thread-bug":
                 threading.Thread(target=_crash, name="crasher").start()
+            case "thread-stuck":
+                threading.Thread(target=threading.Event().wait, args=(60,), name="stuck", daemon=True).start()
             case "faulty":
                 self._faulty = not self._faulty
             case "slow-drain":
                 self._drained = False
             case "hang":
-                threading.Lock().acquire(timeout=60) and threading.Event().wait(60)
+                threading.Event().wait(60)
 
 
 def _crash() -> None:

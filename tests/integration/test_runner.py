@@ -1,7 +1,9 @@
-"""The runner with real processes: a small service that goes through it like every other."""
+"""The runner and orders with real processes: a small service that goes through it like every other."""
 
 from __future__ import annotations
 
+import fcntl
+import os
 import signal
 import subprocess
 import sys
@@ -154,6 +156,47 @@ def test_a_crashed_thread_is_a_bug_of_the_service(stack: Stack, rig: Path) -> No
     assert process.wait() == 1
     client.close()
     assert process.events("thread.crashed")[0]["thread"] == "crasher"
+
+
+def test_a_thread_that_hangs_in_a_driver_does_not_spoil_the_end(stack: Stack, rig: Path) -> None:
+    process = opened(echo(stack, rig))
+    client = order(stack, "t", "thread-stuck")
+    wait_for(client.receive, 10, "the answer")
+    client.close()
+    assert process.stop() == 0
+    assert process.events("service.threads_left")[0]["threads"] == ["stuck"]
+
+
+@pytest.mark.long
+def test_a_service_that_never_comes_back_is_ended_and_says_where_it_hung(stack: Stack, rig: Path) -> None:
+    process = opened(echo(stack, rig))
+    client = order(stack, "h", "hang")
+    wait_for(lambda: (rig.parent / DONE).exists(), 10, "the order to be taken")
+    client.close()
+    assert process.stop(deadline_s=30) == 1
+    assert "Timeout" in process.log()
+    assert "_obey" in process.log()
+    opened(echo(stack, rig)).stop()  # clears what the hard end left
+
+
+def test_a_log_nobody_reads_does_not_stop_the_service(stack: Stack, rig: Path) -> None:
+    reading, writing = os.pipe()
+    fcntl.fcntl(writing, fcntl.F_SETPIPE_SZ, 4096)
+    process = subprocess.Popen([sys.executable, "-m", ECHO, "--rig", str(rig)], cwd=ROOT, stderr=writing)
+    os.close(writing)
+    try:
+        client = OrderClient(stack.endpoints.ipc("echo-orders"), "test")
+        got: list[Answer] = []
+        for number in range(200):  # each changes the state, and says so in the log
+            client.send(LedgerQuery(key=f"k{number}", recording="faulty"))
+            wait_for(lambda: got.extend(client.receive()) or not client.pending, 20, f"answer {number}")
+        client.close()
+        process.terminate()
+        assert process.wait(20) == 0
+    finally:
+        process.kill()
+        os.close(reading)
+    assert len(got) == 200
 
 
 def test_the_second_signal_cuts_the_drain(stack: Stack, rig: Path) -> None:
