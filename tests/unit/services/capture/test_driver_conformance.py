@@ -3,9 +3,8 @@
 from __future__ import annotations
 
 import shutil
-import time
 from collections.abc import Callable, Iterator
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 
 import numpy as np
@@ -14,7 +13,7 @@ import pytest
 from common.config import Rig, load_rig
 from common.errors import CameraError
 from common.geometry import CameraModel
-from services.capture.cameras.base import Camera, EndOfStreamError, Grabbed, Rewindable
+from services.capture.cameras.base import Camera, Description, EndOfStreamError, Grabbed, Rewindable
 from services.capture.cameras.registry import BUILT_IN, open_camera
 from tests.unit.services.capture.conftest import write_calibration, write_depths, write_pictures, write_video
 
@@ -44,7 +43,6 @@ def _rgbd(folder: Path) -> None:
 
 CASES = {
     "synthetic": Case("synthetic", f"width: 160, height: 120, fps: 200, frames: {FRAMES}", depth=True),
-    "synthetic-colour": Case("synthetic", f"width: 160, height: 120, fps: 200, frames: {FRAMES}, depth: false"),
     "files-folder": Case(
         "files",
         "path: photos, fps: 200",
@@ -74,33 +72,54 @@ objects:
 """
 
 
-@pytest.fixture(params=sorted(CASES))
+@dataclass(frozen=True)
+class Played:
+    """A camera that was played from its opening to its end, and what it gave (with its description each time)."""
+
+    camera: Camera
+    before: Description
+    frames: list[tuple[Grabbed, Description]]
+
+
+@pytest.fixture(scope="module", params=sorted(CASES))
 def case(request: pytest.FixtureRequest) -> Case:
     return CASES[request.param]
 
 
-@pytest.fixture
-def rig(case: Case, tmp_path: Path) -> Rig:
-    case.prepare(tmp_path)
-    path = tmp_path / "rig.yaml"
+@pytest.fixture(scope="module")
+def folder(case: Case, tmp_path_factory: pytest.TempPathFactory) -> Path:
+    made = tmp_path_factory.mktemp(case.driver)
+    case.prepare(made)
+    return made
+
+
+@pytest.fixture(scope="module")
+def rig(case: Case, folder: Path) -> Rig:
+    path = folder / "rig.yaml"
     path.write_text(f"{OBJECTS}cameras:\n  cam0: {{driver: {case.driver}, {case.keys}}}\n")
     return load_rig(path)
 
 
-@pytest.fixture
-def camera(rig: Rig) -> Iterator[Camera]:
-    made = open_camera("cam0", rig.camera("cam0"), rig)
-    yield made
-    made.close()
+@pytest.fixture(scope="module")
+def played(rig: Rig) -> Iterator[Played]:
+    """Played once for all tests of a case: opening the synthetic camera takes seconds."""
+    camera = open_camera("cam0", rig.camera("cam0"), rig)
+    before = camera.describe()
+    yield Played(camera, before, all_of(camera))
+    camera.close()
 
 
-def all_of(camera: Camera) -> list[Grabbed]:
+def all_of(camera: Camera) -> list[tuple[Grabbed, Description]]:
     frames = []
     while True:
         try:
-            frames.append(camera.grab(5.0))
+            frame = camera.grab(5.0)
         except EndOfStreamError:
             return frames
+        # The arrays are the driver's again at the next grab.
+        kept = replace(frame, bgr=frame.bgr.copy(), depth=None if frame.depth is None else frame.depth.copy())
+        assert frame.bgr.flags.c_contiguous
+        frames.append((kept, camera.describe()))
 
 
 def play_again_and_again(camera: Camera) -> None:
@@ -114,8 +133,8 @@ def test_every_built_in_driver_has_a_case() -> None:
     assert {case.driver for case in CASES.values()} == set(BUILT_IN)
 
 
-def test_it_describes_itself_before_the_first_frame(case: Case, camera: Camera) -> None:
-    description = camera.describe()
+def test_it_describes_itself_before_the_first_frame(case: Case, played: Played) -> None:
+    description = played.before
     assert description.camera.name == "cam0"
     assert description.fps > 0
     assert (description.depth_unit_mm is not None) == case.depth
@@ -124,14 +143,13 @@ def test_it_describes_itself_before_the_first_frame(case: Case, camera: Camera) 
     pixel, visible = model.project([[0.0, 0.0, 1000.0]])
     assert visible.all()
     assert model.contains(pixel).all(), "what is straight ahead is in the picture"
-    assert camera.describe() == description
+    assert all(then == description for _, then in played.frames)
 
 
-def test_frames_are_as_described(case: Case, camera: Camera) -> None:
-    for frame in all_of(camera):
-        about = camera.describe().camera
+def test_frames_are_as_described(case: Case, played: Played) -> None:
+    for frame, description in played.frames:
+        about = description.camera
         assert frame.bgr.dtype == np.uint8
-        assert frame.bgr.flags.c_contiguous
         assert frame.bgr.shape == (about.height, about.width, 3)
         assert (frame.depth is not None) == case.depth
         if frame.depth is not None:
@@ -140,76 +158,63 @@ def test_frames_are_as_described(case: Case, camera: Camera) -> None:
             assert frame.depth.any()
 
 
-def test_its_clock_runs(camera: Camera) -> None:
-    times = [frame.device_ns for frame in all_of(camera)]
+def test_its_clock_runs(played: Played) -> None:
+    times = [frame.device_ns for frame, _ in played.frames]
     known = [stamp for stamp in times if stamp is not None]
     assert len(known) in (0, len(times)), "a device stamps all its frames or none"
     assert known == sorted(set(known))
 
 
-def test_it_ends_after_the_last_frame_and_stays_at_its_end(camera: Camera) -> None:
-    assert len(all_of(camera)) == FRAMES
+def test_it_ends_after_the_last_frame_and_stays_at_its_end(played: Played) -> None:
+    assert len(played.frames) == FRAMES
     for _ in range(2):
         with pytest.raises(EndOfStreamError):
-            camera.grab(1.0)
+            played.camera.grab(1.0)
+
+
+def test_it_rewinds_if_it_waits_for_a_start(played: Played) -> None:
+    if not played.before.waits_for_start:
+        return
+    names = [frame.source_name for frame, _ in played.frames]
+    assert isinstance(played.camera, Rewindable)
+    for start in (0, FRAMES - 1):
+        played.camera.rewind(start)
+        assert [frame.source_name for frame, _ in all_of(played.camera)] == names[start:]
+
+
+def test_opened_again_it_gives_the_same_and_is_closed_twice(played: Played, rig: Rig) -> None:
+    camera = open_camera("cam0", rig.camera("cam0"), rig)
+    again = all_of(camera)
+    assert all(np.array_equal(one.bgr, two.bgr) for (one, _), (two, _) in zip(played.frames, again, strict=True))
+    camera.close()
+    camera.close()
 
 
 def test_it_heeds_the_timeout(case: Case, rig: Rig) -> None:
-    slow = rig.camera("cam0").model_copy(update={"fps": 0.05})
+    slow = rig.camera("cam0").model_copy(update={"fps": 0.001})
     camera = open_camera("cam0", slow, rig)
     camera.grab(5.0)
-    began = time.monotonic()
     if "pace: consumer" in case.keys:
         camera.grab(0.01)  # as fast as it is asked
     else:
-        with pytest.raises(TimeoutError):
+        with pytest.raises(TimeoutError):  # the next frame is due in 1000 s: the test's own limit is the deadline
             camera.grab(0.01)
-    assert time.monotonic() - began < 15, "far less than the 20 s until its next frame"
     camera.close()
 
 
-def test_closing_twice_is_closing_once_and_ends_grabbing(camera: Camera) -> None:
-    camera.grab(5.0)
-    camera.close()
-    camera.close()
-    with pytest.raises((CameraError, EndOfStreamError)):
-        camera.grab(0.1)
-
-
-def test_it_can_be_opened_again_and_gives_the_same(rig: Rig) -> None:
-    passes = []
-    for _ in range(2):
-        camera = open_camera("cam0", rig.camera("cam0"), rig)
-        passes.append([frame.bgr.copy() for frame in all_of(camera)])
-        camera.close()
-    assert all(np.array_equal(one, two) for one, two in zip(*passes, strict=True))
-
-
-def test_it_rewinds_if_it_waits_for_a_start(camera: Camera) -> None:
-    if not camera.describe().waits_for_start:
-        assert all_of(camera)
-        return
-    assert isinstance(camera, Rewindable)
-    names = [frame.source_name for frame in all_of(camera)]
-    camera.rewind()
-    assert [frame.source_name for frame in all_of(camera)] == names
-    camera.rewind(FRAMES - 1)
-    assert [frame.source_name for frame in all_of(camera)] == names[-1:]
-
-
-def test_unplugged_is_a_camera_error_and_plugged_in_again_it_is_back(case: Case, rig: Rig, tmp_path: Path) -> None:
+def test_unplugged_is_a_camera_error_and_plugged_in_again_it_is_back(case: Case, rig: Rig, folder: Path) -> None:
     if case.unplug is None:
         assert case.driver == "synthetic", "only a camera without hardware or files can't be unplugged"
         return
     camera = open_camera("cam0", rig.camera("cam0"), rig)
-    case.unplug(tmp_path)
+    case.unplug(folder)
     with pytest.raises(CameraError) as lost:
         play_again_and_again(camera)
-    assert str(tmp_path) in lost.value.message
+    assert str(folder) in lost.value.message
     camera.close()
     with pytest.raises(CameraError):
         open_camera("cam0", rig.camera("cam0"), rig)
-    case.prepare(tmp_path)
+    case.prepare(folder)
     back = open_camera("cam0", rig.camera("cam0"), rig)
     assert len(all_of(back)) == FRAMES
     back.close()
