@@ -45,6 +45,7 @@ SUB_COMMANDS = (
     SubCommand("help", "tools.commands.help", "the commands of the command socket with their fields"),
     SubCommand("check", "tools.check", "say all mistakes of a rig file at once"),
     SubCommand("bench", "tools.bench.command", "measure the real stack on this machine"),
+    SubCommand("evaluate", "tools.evaluate.command", "measure labels and erased pictures against the truth"),
     SubCommand("keys", "tools.commands.keys", "make the CURVE keys that a command socket off loopback needs"),
 )
 

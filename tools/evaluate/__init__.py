@@ -1,0 +1,1 @@
+"""Measures how good labels and erased pictures are, against what is known."""
