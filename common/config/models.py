@@ -31,9 +31,13 @@ class DatasetConfig(Section):
 
 
 class MarkersConfig(Section):
-    """The marker family: a cv2 predefined dictionary's name (any case, with or without ``DICT_``) or a file."""
+    """``family``: a cv2 predefined dictionary's name (any case, with or without ``DICT_``) or a file.
+
+    ``detector``: who searches; ``auto`` takes what the benchmark shows to be best for the family.
+    """
 
     family: str = "apriltag_36h11"
+    detector: Literal["auto", "opencv", "apriltag", "locus"] = "auto"
 
 
 class SizeConfig(Section):

@@ -41,9 +41,10 @@ class DetectService:
     def open(self) -> None:
         """Open the detectors and connect to the bus; raises ConfigError for an unusable marker family."""
         context = self._context
-        markers = family(self._config.markers.family, context.rig.folder)
-        self._fast: MarkerDetector = open_detector(markers, context.rig.folder)
-        self._thorough: MarkerDetector = open_detector(markers, context.rig.folder, thorough=True)
+        folder, chosen = context.rig.folder, self._config.markers.detector
+        markers = family(self._config.markers.family, folder)
+        self._fast: MarkerDetector = open_detector(markers, folder, detector=chosen)
+        self._thorough: MarkerDetector = open_detector(markers, folder, thorough=True, detector=chosen)
         self._publisher = Publisher(context.endpoints, context.id, context.boot)
         self._subscriber = Subscriber(context.endpoints)
         for topic in (FRAME, CAMERA, SHARES):

@@ -136,5 +136,5 @@ def test_the_registry_takes_a_family_or_a_name_and_refuses_the_unknown() -> None
     assert open_detector("4X4_50", HERE).family.name == "4x4_50"
     with pytest.raises(ConfigError, match="did you mean 4x4_50"):
         open_detector("4x4_51", HERE)
-    with pytest.raises(ConfigError, match="known are opencv"):
+    with pytest.raises(ConfigError, match="known are auto, opencv"):
         open_detector("4x4_50", HERE, detector="magic")
