@@ -145,10 +145,18 @@ def _wood(shape: tuple[int, int], per_mm: float, random: np.random.Generator) ->
     return np.asarray(tone[:, :, None] * np.array((92.0, 128.0, 164.0), dtype=np.float32), dtype=np.float32)
 
 
+def _around(mask: NDArray[np.float32], margin: int) -> tuple[slice, slice]:
+    """The part of a mask in which something is, and ``margin`` more on each side."""
+    left, top, wide, high = cv2.boundingRect((mask > 0).astype(np.uint8))
+    return slice(max(top - margin, 0), top + high + margin), slice(max(left - margin, 0), left + wide + margin)
+
+
 def _shadowed(picture: NDArray[np.float32], mask: NDArray[np.float32], offset: tuple[int, int], blur: float) -> None:
-    moved = np.roll(mask, offset, axis=(0, 1))
+    """Darken what lies under the mask's soft shadow, which falls ``offset`` (down, right) beside it."""
+    near = _around(mask, round(4 * blur) + max(offset))
+    moved = np.roll(mask[near], offset, axis=(0, 1))
     soft = np.asarray(cv2.GaussianBlur(moved, (0, 0), blur), dtype=np.float32)
-    picture *= (1.0 - 0.35 * soft)[:, :, None]
+    picture[near] *= (1.0 - 0.35 * soft)[:, :, None]
 
 
 def _hang_posters(picture: NDArray[np.float32], random: np.random.Generator, clutter: float) -> None:
@@ -213,8 +221,9 @@ def _lay_things(picture: NDArray[np.float32], per_mm: float, random: np.random.G
             cv2.fillPoly(mask, [corners.astype(np.int32)], 1.0, cv2.LINE_AA)
         _shadowed(picture, mask, (3, 4), 5.0)
         colour = np.array(_POSTERS[int(random.integers(len(_POSTERS)))], dtype=np.float32)
-        picture += mask[:, :, None] * (0.9 * colour - picture)
+        near = _around(mask, 0)
+        picture[near] += mask[near][:, :, None] * (0.9 * colour - picture[near])
         if number % 3 == 0:
             ring = np.zeros((rows, columns), np.float32)
             cv2.circle(ring, place, max(int(radius * 0.7), 1), 1.0, max(int(3 * per_mm), 1), cv2.LINE_AA)
-            picture *= (1.0 - 0.15 * ring)[:, :, None]
+            picture[near] *= (1.0 - 0.15 * ring[near])[:, :, None]
