@@ -122,7 +122,7 @@ class LabelService:
         """Take nothing new; finish what is under way."""
         self._recorder.finish_all("the stack was stopped")
         self.step(0.05)
-        return self._recorder.settled and not self._samples.under_way and not self._store.pending
+        return self._recorder.settled and not self._samples.under_way and set(self._store.pending) <= {self._query_key}
 
     def close(self) -> None:
         """Let go of everything, whatever state it is in."""
