@@ -66,18 +66,32 @@ class Pattern:
             parts.append(at)
         return np.concatenate(parts)
 
-    def at(self, u: Floats, v: Floats, blur_u: Floats, blur_v: Floats) -> Values:
-        """The pattern at points (N,), blurred by Gaussians of ``blur_u`` and ``blur_v`` (N,), all in cells."""
+    def at(self, u: Floats, v: Floats, blur_u: Floats, blur_v: Floats, skew: Floats | None = None) -> Values:
+        """The pattern at points (N,), blurred by Gaussians of ``blur_u`` and ``blur_v`` (N,), all in cells.
+
+        ``skew`` (N,) is the correlation of the two blurs: not 0 where rows and columns don't meet squarely in the
+        picture. It matters where edges meet; its slopes are left out.
+        """
         step_u, slope_u, widen_u = self._blurred(u, blur_u)
         step_v, slope_v, widen_v = self._blurred(v, blur_v)
         rows = step_v @ self._steps
         columns = step_u @ self._steps.T
+        value = np.einsum("ij,ij->i", rows, step_u)
+        if skew is not None:
+            value += self._skewed(skew, slope_u * blur_u[:, None], slope_v * blur_v[:, None], widen_u, widen_v)
         return Values(
-            value=np.einsum("ij,ij->i", rows, step_u),
+            value=value,
             by_u=np.einsum("ij,ij->i", rows[:, 1:], slope_u),
             by_v=np.einsum("ij,ij->i", columns[:, 1:], slope_v),
             by_log_blur=np.einsum("ij,ij->i", rows[:, 1:], widen_u) + np.einsum("ij,ij->i", columns[:, 1:], widen_v),
         )
+
+    def _skewed(self, skew: Floats, bell_u: Floats, bell_v: Floats, widen_u: Floats, widen_v: Floats) -> Floats:
+        """What correlated blurs add: the first two terms of the tetrachoric series (Pearson 1900)."""
+        crossings = self._steps[1:, 1:]
+        first = np.einsum("ij,ij->i", bell_v @ crossings, bell_u)
+        second = np.einsum("ij,ij->i", widen_v @ crossings, widen_u)
+        return np.asarray(skew * first + 0.5 * skew * skew * second)
 
     def _blurred(self, at: Floats, blur: Floats) -> tuple[Floats, Floats, Floats]:
         """Blurred steps (N, n+2), led by a column of ones; slopes and derivatives by log blur (N, n+1)."""

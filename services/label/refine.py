@@ -13,7 +13,7 @@ closed-form pattern in place of a warped template is ours). Pixels are read wher
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 
 import cv2
 import numpy as np
@@ -49,6 +49,10 @@ ACROSS_PX = np.arange(-3.0, 3.5)
 MAX_ALONG = 3
 """At how many places along an edge of one cell, at most."""
 MIN_PIXELS = 60
+CORRELATED = 1.35
+"""What the model can't explain is alike in neighbouring pixels: corners scatter by this more than from white noise."""
+FLOOR_PX = 0.004
+"""Corners of noiseless rendered markers scatter by this."""
 TONE_SPREAD = 0.1
 """How bent an edge's profile is expected to be (a gamma of 2.2 is about 0.2)."""
 
@@ -58,7 +62,8 @@ class Refined:
     """Corners TL TR BR BL (px) with their kind.
 
     ``shift_px`` is the furthest that a corner moved, ``residual`` the rms of picture minus model as a share of
-    the contrast. Where not ``converged``, corners and kind are the coarse ones.
+    the contrast. Where not ``converged``, corners and kind are the coarse ones. ``covariance`` (8, 8) px^2 of the
+    corners' x y x y ..., from the residual and the fit's information; None where not converged.
     """
 
     corners: Quad
@@ -66,6 +71,7 @@ class Refined:
     shift_px: float
     residual: float
     converged: bool
+    covariance: Array | None = field(default=None, compare=False)
 
 
 def refine(picture: Picture, marker: DetectedMarker, family: Family, camera: CameraModel | None = None) -> Refined:
@@ -86,7 +92,7 @@ def refine(picture: Picture, marker: DetectedMarker, family: Family, camera: Cam
     trusted = fit.contrast >= MIN_CONTRAST and fit.residual <= MAX_RESIDUAL and shift <= _shift_limit(coarse)
     if not trusted:
         return Refined(marker.corners, marker.kind, shift, fit.residual, converged=False)
-    return Refined(_quad(corners), KIND, shift, fit.residual, converged=True)
+    return Refined(_quad(corners), KIND, shift, fit.residual, converged=True, covariance=fit.covariance())
 
 
 def _shift_limit(coarse: Array) -> float:
@@ -149,6 +155,8 @@ class _Fit:
         self._sigma = FIRST_SIGMA_PX
         self._tone = 0.0
         self.residual = float("inf")
+        self._normal = np.eye(16)
+        self._variance = float("inf")
 
     @classmethod
     def of(cls, picture: Picture, pattern: Pattern, coarse: Array, lens: _Lens) -> _Fit | None:
@@ -187,6 +195,21 @@ class _Fit:
         """White minus black in the marker's middle, grey levels."""
         return float(self._light[3])
 
+    def covariance(self) -> Array:
+        """Covariance (8, 8) px^2 of the corners x y x y ... at the last step, for noise as the residual has it.
+
+        A corner lies where G maps it to the square's, so its move is the one that makes up for a change of G.
+        """
+        g, corners = self._g, (self.corners - self._centre) / self._scale
+        by_g = np.zeros((8, 8))
+        for i, ((x, y), (u, v)) in enumerate(zip(corners, self._square, strict=True)):
+            slope = g[:2, :2] - np.outer((u, v), g[2, :2])
+            change = np.array([[x, y, 1, 0, 0, 0, -u * x, -u * y], [0, 0, 0, x, y, 1, -v * x, -v * y]])
+            by_g[2 * i : 2 * i + 2] = np.linalg.solve(slope, -change)
+        of_g = np.linalg.inv(self._normal)[:8, :8] * self._variance
+        white = by_g @ of_g @ by_g.T * self._scale**2
+        return np.asarray(white * CORRELATED**2 + np.eye(8) * FLOOR_PX**2)
+
     def run(self) -> bool:
         """Iterate; whether the corners settled."""
         everything = False
@@ -212,10 +235,12 @@ class _Fit:
         weight = 1.0 / (1.0 + (residual / (3.0 * spread)) ** 2) if everything else np.ones_like(residual)
         weighted = jacobian * weight[:, None]
         normal = weighted.T @ jacobian
+        self._variance = float(weight @ residual**2) / max(float(weight.sum()) - jacobian.shape[1], 1.0)
         right = weighted.T @ residual
         if everything:
             normal[15, 15] += (spread / TONE_SPREAD) ** 2
             right[15] -= (spread / TONE_SPREAD) ** 2 * self._tone
+            self._normal = normal.copy()
         normal[np.diag_indices_from(normal)] *= 1.0 + 1e-6
         try:
             step = np.asarray(np.linalg.solve(normal, right), dtype=np.float64)
@@ -253,9 +278,10 @@ class _Fit:
         v = (g[1, 0] * x + g[1, 1] * y + g[1, 2]) / w
         # The blur is isotropic in the picture; across an edge of constant u it is sigma times |grad u|.
         sigma = self._sigma / self._scale
-        blur_u = sigma * np.hypot(g[0, 0] - u * g[2, 0], g[0, 1] - u * g[2, 1]) / np.abs(w)
-        blur_v = sigma * np.hypot(g[1, 0] - v * g[2, 0], g[1, 1] - v * g[2, 1]) / np.abs(w)
-        single = (a.astype(np.float32) for a in (u, v, blur_u, blur_v))
+        u_x, u_y, v_x, v_y = g[0, 0] - u * g[2, 0], g[0, 1] - u * g[2, 1], g[1, 0] - v * g[2, 0], g[1, 1] - v * g[2, 1]
+        along_u, along_v = np.hypot(u_x, u_y), np.hypot(v_x, v_y)
+        skew = (u_x * v_x + u_y * v_y) / (along_u * along_v)
+        single = (a.astype(np.float32) for a in (u, v, sigma * along_u / np.abs(w), sigma * along_v / np.abs(w), skew))
         pattern = self._pattern.at(*single)
         p = pattern.value.astype(np.float64)
         hump = 4.0 * p * (1.0 - p)

@@ -189,3 +189,37 @@ def test_the_pattern_without_blur_is_the_bitmap() -> None:
     u, v = (grid.ravel() for grid in np.meshgrid(middles, middles))
     sharp = np.full(64, 0.01, dtype=np.float32)
     assert np.allclose(pattern_of(bitmap).at(u, v, sharp, sharp).value.reshape(8, 8), bitmap, atol=1e-5)
+
+
+def test_rows_and_columns_that_dont_meet_squarely_cost_nothing() -> None:
+    """Where a tilted marker's edges meet at a slant, blurs along rows and columns are correlated."""
+    u, v = (grid.ravel() for grid in np.meshgrid(np.linspace(1, 7, 25), np.linspace(1, 7, 25)))
+    slope = np.array([[1.0, 0.6], [0.0, 1.0]])  # cells per px
+    blur = 0.4
+    offsets = np.random.default_rng(14).normal(0, blur, (4000, 2)) @ slope.T
+    pattern = pattern_of(TAG.bitmap(7))
+    sharp = np.full(len(u), 1e-3)
+    sampled = np.mean(
+        [pattern.at(*(np.float32(a) for a in (u + du, v + dv, sharp, sharp))).value for du, dv in offsets], axis=0
+    )
+    widths = np.linalg.norm(slope, axis=1) * blur
+    skew = slope[0] @ slope[1] / np.prod(np.linalg.norm(slope, axis=1))
+    across, down = (np.full(len(u), width, dtype=np.float32) for width in widths)
+    model = pattern.at(np.float32(u), np.float32(v), across, down, np.full(len(u), skew, dtype=np.float32)).value
+    assert np.abs(model - sampled).max() < 0.04
+    without = pattern.at(np.float32(u), np.float32(v), across, down).value
+    assert np.abs(without - sampled).max() > 0.06
+
+
+def test_the_covariance_predicts_the_scatter_of_the_corners() -> None:
+    rng = np.random.default_rng(15)
+    squares = []
+    for _ in range(40):
+        seen = render(drawing("DICT_APRILTAG_36h11", 4), 50, looking_at(rng, rng.uniform(500, 1400), 65), rng)
+        refined = refine(seen.grey, coarse(seen, 4, rng), TAG)
+        if refined.covariance is not None:
+            error = (np.array(refined.corners) - seen.corners).ravel()
+            squares.append(error @ np.linalg.solve(refined.covariance, error) / 8)
+    assert len(squares) >= 35
+    assert 0.5 < np.median(squares) < 1.5
+    assert np.mean(np.array(squares) < 3.0) > 0.9
