@@ -3,7 +3,7 @@
 from common.bus.commands import CommandClient, CommandServer
 from common.bus.endpoints import DEFAULT_PREFIX, Endpoints, default_run_folder, is_local
 from common.bus.keys import add_client, create_keys
-from common.bus.locks import NameLock, holder_of
+from common.bus.locks import LOCK_SUFFIX, NameLock, clear_dead, holder_of
 from common.bus.order_client import OrderClient
 from common.bus.order_server import OrderServer, Return
 from common.bus.poller import Poller
@@ -14,6 +14,7 @@ from common.bus.subscriber import Received, Subscriber
 
 __all__ = [
     "DEFAULT_PREFIX",
+    "LOCK_SUFFIX",
     "CommandClient",
     "CommandServer",
     "Endpoints",
@@ -27,6 +28,7 @@ __all__ = [
     "Return",
     "Subscriber",
     "add_client",
+    "clear_dead",
     "create_keys",
     "default_run_folder",
     "end_context",

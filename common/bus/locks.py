@@ -14,6 +14,7 @@ from types import TracebackType
 
 from common.errors import ConfigError, NameTakenError
 
+LOCK_SUFFIX = ".lock"
 _MAX_HOLDER_BYTES = 200
 
 
@@ -61,6 +62,26 @@ def holder_of(path: Path) -> str | None:
     finally:
         os.close(fd)
     return None
+
+
+def clear_dead(folder: Path) -> list[str]:
+    """Remove the lock files of dead holders in ``folder``, and the socket files that they guarded; their names.
+
+    A socket file goes by the lock beside it: whoever binds an ipc path holds ``<path>.lock``.
+    """
+    cleared: list[str] = []
+    for path in sorted(folder.glob(f"*{LOCK_SUFFIX}")):
+        try:
+            lock = NameLock(path, "who clears what the dead left")
+        except NameTakenError:
+            continue
+        with lock:
+            guarded = path.with_name(path.name.removesuffix(LOCK_SUFFIX))
+            cleared.append(path.name)
+            if guarded.is_socket():
+                guarded.unlink(missing_ok=True)
+                cleared.append(guarded.name)
+    return cleared
 
 
 def _take(path: Path) -> int:

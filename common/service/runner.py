@@ -11,7 +11,7 @@ from collections.abc import Callable, Sequence
 from pathlib import Path
 
 from common import clock, errors, log
-from common.bus import Endpoints, NameLock, end_context
+from common.bus import Endpoints, NameLock, clear_dead, end_context
 from common.config import load_rig
 from common.errors import ConfigError, NameTakenError, TagmillError
 from common.frames import sweep
@@ -82,7 +82,7 @@ def _run(factory: ServiceFactory, name: str, argv: Sequence[str] | None, stop: S
         stop.ask("parent_died")
     context = _context(name, own_id, args)
     context.endpoints.prepare()
-    _clear_leftovers(context)
+    _sweep(context)
     _limit_threads()
     crashes = _watch_threads(context)
     run = _Run(factory, context, stop, crashes)
@@ -113,6 +113,8 @@ class _Run:
 
     def open(self, wait_s: float) -> None:
         """Take the name and open the service; a taken name is waited for, at most ``wait_s``."""
+        if self._stop.requested:
+            return None
         deadline = clock.monotonic_ns() + int(wait_s * 1e9)
         for attempt in range(sys.maxsize):
             try:
@@ -161,6 +163,7 @@ class _Run:
             self._heartbeat.close()
             if self._lock is not None:
                 self._lock.release()
+            _clear_leftovers(self._context)
 
     def _open_once(self) -> None:
         if self._lock is None:
@@ -203,11 +206,19 @@ def _context(name: str, own_id: str, args: argparse.Namespace) -> Context:
     )
 
 
-def _clear_leftovers(context: Context) -> None:
+def _sweep(context: Context) -> None:
     """Remove segments of dead processes; dead socket files are replaced under their lock by whoever binds them."""
     swept = sweep(context.endpoints.prefix)
     if swept:
-        context.log.info("service.swept", segments=swept)
+        context.log.info("service.swept", removed=swept)
+
+
+def _clear_leftovers(context: Context) -> None:
+    """At the end also lock and socket files: one that is killed just before all are stopped does not come back."""
+    _sweep(context)
+    cleared = clear_dead(context.endpoints.run_dir)
+    if cleared:
+        context.log.info("service.cleared", removed=cleared)
 
 
 def _limit_threads() -> None:

@@ -30,10 +30,13 @@ class StopRequest:
         self._ear, self._bell = os.pipe2(os.O_NONBLOCK | os.O_CLOEXEC)
 
     def install(self) -> None:
-        """Take over SIGTERM and SIGINT."""
+        """Take over SIGTERM and SIGINT, and those that came while the process was importing."""
         signal.set_wakeup_fd(self._bell, warn_on_full_buffer=False)
         for number in (signal.SIGTERM, signal.SIGINT):
             signal.signal(number, self._on_signal)
+        early = sys.modules.get("common.early_signals")  # only a service's own process has it
+        for held in early.taken() if early is not None else ():
+            self._on_signal(held, None)
 
     def wait(self, timeout_s: float) -> bool:
         """Wait at most ``timeout_s``; True as soon as a stop was requested."""

@@ -2,6 +2,7 @@
 
 import sys
 
+from common import early_signals  # noqa: F401 - holds signals from here on
 from common.service import main
 from services.label.service import LabelService
 

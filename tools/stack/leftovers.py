@@ -8,12 +8,10 @@ from pathlib import Path
 
 import psutil
 
-from common.bus import Endpoints, NameLock, holder_of
-from common.errors import NameTakenError
+from common.bus import LOCK_SUFFIX, Endpoints, clear_dead, holder_of
 from common.frames import sweep
 from tools.stack.programs import PID_FILE, SOCKET_FILE
 
-_LOCK = ".lock"
 _PID = re.compile(r"\(pid (\d+)\)$")
 
 
@@ -24,9 +22,24 @@ def living(endpoints: Endpoints) -> tuple[str, ...]:
 
 
 def orphans(endpoints: Endpoints) -> tuple[int, ...]:
-    """The processes of ``living`` that no supervisord looks after: theirs was killed."""
+    """The processes of this stack that no supervisord looks after: theirs was killed."""
     pids = {int(found[1]) for holder in living(endpoints) if (found := _PID.search(holder))}
-    return tuple(sorted(pid for pid in pids if not _supervised(pid)))
+    return tuple(sorted(pid for pid in pids | _services(endpoints) if not _supervised(pid)))
+
+
+def _services(endpoints: Endpoints) -> set[int]:
+    """The services that `tagmill up` started: also those that hold no name yet, or no longer, but still run."""
+    own = {"TAGMILL_PREFIX": endpoints.prefix, "TAGMILL_RUN_DIR": str(endpoints.run_dir.parent)}
+    found = set()
+    for process in psutil.process_iter():
+        try:
+            if any(word.startswith("services.") for word in process.cmdline()):
+                environment = process.environ()
+                if own.items() <= environment.items():
+                    found.add(process.pid)
+        except (psutil.NoSuchProcess, psutil.AccessDenied):
+            continue  # it has ended, or is somebody else's
+    return found
 
 
 def _supervised(pid: int) -> bool:
@@ -43,12 +56,10 @@ def clear(endpoints: Endpoints) -> tuple[str, ...]:
     A socket file goes by the lock beside it: whoever binds an ipc path holds ``<path>.lock``. A segment goes by
     the lock on itself.
     """
-    cleared: list[str] = []
     folder = endpoints.run_dir
-    for lock in _locks(folder):
-        cleared += _clear_lock(lock)
+    cleared = clear_dead(folder)
     for path in sorted(folder.iterdir()) if folder.is_dir() else ():
-        alone = path.is_socket() and path.name != SOCKET_FILE and not path.with_name(path.name + _LOCK).exists()
+        alone = path.is_socket() and path.name != SOCKET_FILE and not path.with_name(path.name + LOCK_SUFFIX).exists()
         if alone:
             path.unlink(missing_ok=True)
             cleared.append(path.name)
@@ -57,20 +68,7 @@ def clear(endpoints: Endpoints) -> tuple[str, ...]:
 
 
 def _locks(folder: Path) -> tuple[Path, ...]:
-    return tuple(sorted(folder.glob(f"*{_LOCK}"))) if folder.is_dir() else ()
-
-
-def _clear_lock(path: Path) -> list[str]:
-    try:
-        lock = NameLock(path, "tagmill down")
-    except NameTakenError:
-        return []
-    with lock:
-        guarded = path.with_name(path.name.removesuffix(_LOCK))
-        found = guarded.is_socket()
-        if found:
-            guarded.unlink(missing_ok=True)
-    return [path.name, guarded.name] if found else [path.name]
+    return tuple(sorted(folder.glob(f"*{LOCK_SUFFIX}"))) if folder.is_dir() else ()
 
 
 def _clear_supervisor(folder: Path) -> list[str]:
