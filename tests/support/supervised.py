@@ -10,6 +10,7 @@ from pathlib import Path
 from typing import Any
 
 import psutil
+import pytest
 
 from common.bus import CommandClient, Endpoints, Poller
 from common.config.models import NetworkConfig
@@ -118,6 +119,12 @@ def supervised(rig: Path, *cameras: str, **environment: str) -> Iterator[Supervi
     except BaseException:
         print(logs(endpoints.run_dir / "log", log))
         raise
+
+
+def failed(test: pytest.Item) -> bool:
+    """Whether a test has failed, for the fixtures that show its logs."""
+    report = getattr(test, "call_report", None)
+    return report is None or bool(report.failed)
 
 
 def logs(folder: Path, *more: Path) -> str:
