@@ -5,10 +5,9 @@ from __future__ import annotations
 from collections.abc import Iterable, Iterator
 from dataclasses import dataclass
 
-from common.log import get
-
 from common import clock
 from common.labels import CameraLedger
+from common.log import get
 from common.messages import Answer, LedgerOrder
 from services.label.requests import Recording, Request
 
