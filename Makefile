@@ -34,8 +34,8 @@ test-long: $(STAMP) ## the long runs
 	$(BIN)/python -m pytest -m long
 
 lint: $(STAMP) ## ruff, mypy strict, import-linter
-	$(BIN)/ruff check .
-	$(BIN)/ruff format --check .
+	$(BIN)/ruff check --no-cache .
+	$(BIN)/ruff format --check --no-cache .
 	$(BIN)/mypy
 	$(BIN)/lint-imports
 
