@@ -20,6 +20,8 @@ from services.label.finish import Finished, Finisher, Job
 
 LEASE_NS = 5_000_000_000
 _SLOTS = 3
+_JOB = "show:"
+"""What a job's key begins with, to tell it from a sample's name."""
 
 
 @dataclass(eq=False)
@@ -72,15 +74,13 @@ class Previews:
         except FrameLostError:
             self._free(camera.name)
             return
-        finisher.submit(
-            Job(f"preview/{camera.name}", show.work.name, slot, camera.state.camera, detections.markers, {}, 0)
-        )
+        finisher.submit(Job(_JOB + camera.name, show.work.name, slot, camera.state.camera, detections.markers, {}, 0))
 
     def finished(self, job: Job, result: Finished | None) -> bool:
         """Show a finished preview; False if the job was none."""
-        if not job.key.startswith("preview/"):
+        if not job.key.startswith(_JOB):
             return False
-        camera = job.key.removeprefix("preview/")
+        camera = job.key.removeprefix(_JOB)
         show = self._shows.get(camera)
         if show is not None and show.busy is not None and show.slot is not None:
             if result is not None:
