@@ -35,12 +35,16 @@ class Window(Part):
 
 
 class Corner(Part):
-    """One of the box's eight corners; ``x`` and ``y`` are None where it lies behind the camera."""
+    """One of the box's eight corners; ``x`` and ``y`` are None where it lies behind the camera.
+
+    ``visible``: in the picture and hidden by nothing, neither its own box nor anything before it; None: not looked at.
+    """
 
     name: str
     x: float | None
     y: float | None
     in_image: bool
+    visible: bool | None = None
 
 
 class PoseLabel(Part):
@@ -64,6 +68,30 @@ class SideLabel(Part):
     viewing_angle_deg: float
     residual_px: float
     polygon: tuple[Point, ...]
+    visible_share: float | None = None
+
+
+class FaceLabel(Part):
+    """A face that is turned to the camera, whether a marker of it was seen or not.
+
+    ``class`` is None where the rig gives that face no side; ``visible_share`` is the share (0..1) of the face's
+    area that is in the picture and hidden by nothing.
+    """
+
+    face: FaceName
+    class_name: Annotated[str | None, Field(alias="class")] = None
+    visible_share: float
+
+
+class Uncertainty(Part):
+    """Error bars, one sigma: the root mean square of the error to expect from the corners' noise.
+
+    ``corners_px`` are of the eight corners in their order (distance in the picture), None behind the camera.
+    """
+
+    distance_mm: float
+    rotation_deg: float
+    corners_px: tuple[float | None, ...]
 
 
 class Quality(Part):
@@ -73,10 +101,16 @@ class Quality(Part):
     markers: int
     ambiguous: bool = False
     alternative_pose: PoseLabel | None = None
+    uncertainty: Uncertainty | None = None
 
 
 class ObjectLabel(Part):
-    """One object in one frame. ``source`` names what found it: ``markers``, or a later detector's name."""
+    """One object in one frame. ``source`` names what found it: ``markers``, or a later detector's name.
+
+    ``pose_source``: ``measured`` from detected markers, ``tracked`` from markers found where they had to be,
+    ``interpolated`` between the frames before and after. ``visibility`` says what visible corners, sides and
+    ``faces`` were judged by; None: not looked at.
+    """
 
     id: int
     name: str
@@ -90,15 +124,32 @@ class ObjectLabel(Part):
     window_unclipped: Window
     distance_mm: float
     quality: Quality
+    faces: tuple[FaceLabel, ...] = ()
+    visibility: Literal["geometry", "depth"] | None = None
+
+
+class Missing(Part):
+    """An object that was seen a moment ago and should still be in the picture, but has no pose; ``reason``: why.
+
+    not_detected, or what kept its markers from a pose: bad_pose, contradicts, duplicate_marker.
+    """
+
+    object: str
+    reason: str
+    seen_ms_ago: float | None = None
 
 
 class LeftOut(Part):
-    """A marker that gave no side, and why: unknown_marker, duplicate_marker, not_detected, bad_pose, contradicts."""
+    """A marker that gave no side, and why: unknown_marker, duplicate_marker, not_detected, bad_pose, contradicts.
+
+    ``residual_px``: how far (rms) a marker that contradicts lies from where the object's others put it.
+    """
 
     marker: int
     reason: str
     object: str | None = None
     corners: Quad | None = None
+    residual_px: float | None = None
 
 
 class DetectedWindow(Part):
@@ -188,6 +239,8 @@ class Label(Part):
     left_out: tuple[LeftOut, ...]
     detections: tuple[SourceDetections, ...] = ()
     inpainted: Erased
+    complete: bool = True
+    missing: tuple[Missing, ...] = ()
     files: SampleFiles | None = None
     versions: dict[str, str]
 

@@ -29,12 +29,15 @@ _STEP = 1e-4
 class Observed:
     """Corners as seen: ``points`` (N, 3) mm in the object frame, ``rays`` (N, 2) undistorted x/z, y/z,
     ``slopes`` (N, 2, 2) d pixel / d ray of the lens, ``sigma`` (N,) px.
+
+    ``whitening`` (2N, 2N) turns residuals x y x y ... (px) into independent ones of unit variance.
     """
 
     points: Array
     rays: Array
     slopes: Array
     sigma: Array
+    whitening: Array
 
     @property
     def finite(self) -> bool:
@@ -56,19 +59,38 @@ class Fit:
     information: Array
 
 
-def observe(points: Array, pixels: Array, sigma: Array, camera: CameraModel) -> Observed:
-    """Prepare corners: ``points`` (N, 3) mm, ``pixels`` (N, 2), ``sigma`` (N,) px."""
+def observe(
+    points: Array, pixels: Array, sigma: Array, camera: CameraModel, covariance: Array | None = None
+) -> Observed:
+    """Prepare corners: ``points`` (N, 3) mm, ``pixels`` (N, 2), ``sigma`` (N,) px.
+
+    ``covariance`` (2N, 2N) px^2 of x y x y ...; None: independent corners of ``sigma``.
+    """
     rays = camera.normalise(pixels)
-    return Observed(points, rays, _lens_slopes(rays, camera), sigma)
+    if covariance is None:
+        whitening = np.diag(np.repeat(1.0 / sigma, 2))
+    else:
+        whitening = np.asarray(np.linalg.inv(np.linalg.cholesky(covariance)), dtype=np.float64)
+    return Observed(points, rays, _lens_slopes(rays, camera), sigma, whitening)
 
 
 def join(parts: Sequence[Observed]) -> Observed:
-    """Corners of several markers as one observation."""
+    """Corners of several markers as one observation; one marker's errors say nothing about another's."""
+    if len(parts) == 1:
+        return parts[0]
+    sigma = np.concatenate([part.sigma for part in parts])
+    whitening = np.zeros((2 * len(sigma), 2 * len(sigma)))
+    at = 0
+    for part in parts:
+        size = len(part.whitening)
+        whitening[at : at + size, at : at + size] = part.whitening
+        at += size
     return Observed(
         np.concatenate([part.points for part in parts]),
         np.concatenate([part.rays for part in parts]),
         np.concatenate([part.slopes for part in parts]),
-        np.concatenate([part.sigma for part in parts]),
+        sigma,
+        whitening,
     )
 
 
@@ -94,7 +116,7 @@ def refine(observed: Observed, start: Pose, iterations: int = 30) -> Fit | None:
     for _ in range(iterations):
         jacobian = _jacobian(observed, pose)
         information = jacobian.T @ jacobian
-        gradient = jacobian.T @ (residuals / observed.sigma[:, None]).ravel()
+        gradient = jacobian.T @ (observed.whitening @ residuals.ravel())
         step = _solve(information, gradient, damping)
         if step is None:
             return None
@@ -142,11 +164,11 @@ def _residuals(observed: Observed, pose: Pose) -> Array | None:
 
 
 def _cost(observed: Observed, residuals: Array) -> float:
-    return float(((residuals / observed.sigma[:, None]) ** 2).sum())
+    return float(((observed.whitening @ residuals.ravel()) ** 2).sum())
 
 
 def _jacobian(observed: Observed, pose: Pose) -> Array:
-    """d residual / d (rotation in the camera frame about the object's origin, shift), (2N, 6), in sigma."""
+    """d residual / d (rotation in the camera frame about the object's origin, shift), (2N, 6), whitened."""
     turned = observed.points @ pose.rotation.T
     xyz = turned + pose.translation
     inverse_z = 1.0 / xyz[:, 2]
@@ -154,12 +176,18 @@ def _jacobian(observed: Observed, pose: Pose) -> Array:
     ray = np.zeros((count, 2, 3))
     ray[:, 0, 0] = ray[:, 1, 1] = inverse_z
     ray[:, :, 2] = -xyz[:, :2] * (inverse_z**2)[:, None]
-    pixel = (observed.slopes / observed.sigma[:, None, None]) @ ray
-    cross = np.zeros((count, 3, 3))
+    pixel = observed.slopes @ ray
+    plain = np.concatenate([pixel @ turn_columns(turned), pixel], axis=2).reshape(2 * count, 6)
+    return np.asarray(observed.whitening @ plain)
+
+
+def turn_columns(turned: Array) -> Array:
+    """d point / d rotation vector (N, 3, 3) of points that were turned about the origin (N, 3)."""
+    cross = np.zeros((len(turned), 3, 3))
     x, y, z = turned.T
     cross[:, 0, 1], cross[:, 0, 2], cross[:, 1, 2] = z, -y, x
     cross[:, 1, 0], cross[:, 2, 0], cross[:, 2, 1] = -z, y, -x
-    return np.concatenate([pixel @ cross, pixel], axis=2).reshape(2 * count, 6)
+    return cross
 
 
 def _solve(information: Array, gradient: Array, damping: float) -> Array | None:

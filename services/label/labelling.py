@@ -16,13 +16,14 @@ from numpy.typing import NDArray
 from common.config.models import PoseConfig
 from common.errors import PoseError
 from common.geometry import Box, BoxSide, CameraModel, MarkerOnSide, Pose
-from common.labels import LeftOut, ObjectLabel, Quality, SideLabel
+from common.labels import LeftOut, ObjectLabel, Quality, SideLabel, Uncertainty
 from common.markers import Family, family
 from common.messages import DetectedMarker
 from services.label.continuity import LastPoses
 from services.label.copies import settle_copies
 from services.label.pose import BoxPose, MarkerFit, Prior, solve_box
 from services.label.refine import refine
+from services.label.uncertainty import uncertainty
 from services.label.visibility import faces_camera, marker_angle
 from services.label.visible_objects import SeenMarker, VisibleObject, left_out, not_detected, sort_markers
 from services.label.windows import project_box, side_polygon
@@ -114,7 +115,8 @@ class Labeller:
             out += reasons
             if found is not None:
                 poses[visible.box.name] = found
-                labels.append(_object_label(len(labels), visible.box, found, camera))
+                bar = None if grey is None else uncertainty(visible.box, found, camera)
+                labels.append(_object_label(len(labels), visible.box, found, camera, bar))
             out += _undetected(visible, None if found is None else found.pose, camera)
         out += [not_detected(marker, box) for box in sorted_.unseen for _, marker in box.markers()]
         return Labelled(tuple(labels), tuple(out)), poses
@@ -140,7 +142,8 @@ class Labeller:
             found = refine(grey, marker.seen, self._family, camera)
             if not found.converged:
                 return marker
-            return replace(marker, seen=DetectedMarker(id=marker.seen.id, corners=found.corners, kind=found.kind))
+            exact = DetectedMarker(id=marker.seen.id, corners=found.corners, kind=found.kind)
+            return replace(marker, seen=exact, covariance=found.covariance)
 
         copies = tuple(tuple(better(copy) for copy in group) for group in visible.copies)
         return replace(visible, markers=tuple(better(marker) for marker in visible.markers), copies=copies)
@@ -161,7 +164,7 @@ def _should_be_seen(box: Box, side: BoxSide, marker: MarkerOnSide, pose: Pose, c
     return faces_camera(pose, box, side, marker) and bool(camera.contains(pixels).any())
 
 
-def _object_label(id_: int, box: Box, found: BoxPose, camera: CameraModel) -> ObjectLabel:
+def _object_label(id_: int, box: Box, found: BoxPose, camera: CameraModel, bar: Uncertainty | None) -> ObjectLabel:
     projected = project_box(box, found.pose, camera)
     sides = sorted((_side_label(box, fit, found.pose, camera) for fit in found.markers), key=_facing)
     return ObjectLabel(
@@ -179,6 +182,7 @@ def _object_label(id_: int, box: Box, found: BoxPose, camera: CameraModel) -> Ob
             markers=len(found.markers),
             ambiguous=found.ambiguous,
             alternative_pose=None if found.alternative is None else found.alternative.label(),
+            uncertainty=bar,
         ),
     )
 

@@ -57,7 +57,9 @@ class BoxPose:
     """The pose of a box (object to camera frame) and how far to trust it.
 
     ``contradicting`` markers don't fit together with the others, ``unsound`` ones give no pose at all.
-    ``evidence`` is by how much (unit of ``DECIDED``) it beats the alternative; ``information`` as in ``Fit``.
+    ``evidence`` is by how much (unit of ``DECIDED``) it beats the alternative; ``information`` as in ``Fit``, of
+    the corners ``observed``. ``rivals`` are the fit's other minima with their odds against ``pose``, ``inflation``
+    is by how much the corners' variance is larger than their kind promises.
     """
 
     pose: Pose
@@ -68,6 +70,9 @@ class BoxPose:
     evidence: float
     alternative: Pose | None
     information: Array
+    observed: Observed
+    rivals: tuple[tuple[Pose, float], ...] = ()
+    inflation: float = 1.0
 
     @property
     def ambiguous(self) -> bool:
@@ -104,16 +109,30 @@ def solve_box(
         raise PoseError(f"no marker of {box.name} gives a sound pose", code="bad_pose")
     used, fits = _consistent(box, views, prior)
     contradicting = tuple(view.seen for view in views if view not in used)
-    best, evidence, alternative = _decide(
-        box, fits, sum(len(v.observed.points) for v in used), camera, ambiguous_px, prior
-    )
+    together = join([view.observed for view in used])
+    # Corners fit worse than their kind promises when blur or a bent marker spoils them: the noise is then larger.
+    inflation = max(1.0, fits[0].cost / max(fits[0].residuals.size - 6, 1))
+    best, evidence, alternative = _decide(box, fits, inflation, camera, ambiguous_px, prior)
+    rivals = tuple((fit.pose, _odds(fit, best, inflation, prior)) for fit in fits if fit is not best)
     pose = best.pose
     marker_fits = tuple(
         MarkerFit(view.seen, _own_pose(box, view, pose, alone=len(used) == 1), residual_px(view.observed, pose))
         for view in used
     )
     rms = float(np.sqrt((best.residuals**2).sum(axis=1).mean()))
-    return BoxPose(pose, marker_fits, contradicting, unsound, rms, evidence, alternative, best.information)
+    return BoxPose(
+        pose=pose,
+        markers=marker_fits,
+        contradicting=contradicting,
+        unsound=unsound,
+        residual_px=rms,
+        evidence=evidence,
+        alternative=alternative,
+        information=best.information,
+        observed=together,
+        rivals=rivals,
+        inflation=inflation,
+    )
 
 
 def corner_distance(box: Box, first: Pose, second: Pose, camera: CameraModel) -> float:
@@ -129,7 +148,7 @@ def _view(box: Box, seen: SeenMarker, camera: CameraModel) -> _View | None:
     """None where the corners give no pose at all (degenerate, or outside what the lens model reaches)."""
     on_box = box.marker_pose(seen.side, seen.marker)
     points = box.marker_corners(seen.side, seen.marker)
-    observed = observe(points, seen.corners, np.full(4, seen.noise_px), camera)
+    observed = observe(points, seen.corners, np.full(4, seen.noise_px), camera, seen.covariance)
     if not (observed.finite and np.isfinite(seen.corners).all()):
         return None
     own = square_poses(seen.corners, seen.marker.size_mm, camera)
@@ -211,7 +230,7 @@ def _starts(together: Observed, views: list[_View]) -> list[Pose]:
 
 
 def _decide(
-    box: Box, fits: list[Fit], corners: int, camera: CameraModel, ambiguous_px: float, prior: Prior | None
+    box: Box, fits: list[Fit], inflation: float, camera: CameraModel, ambiguous_px: float, prior: Prior | None
 ) -> tuple[Fit, float, Pose | None]:
     """The pose to use, its evidence, and the alternative where nothing decides between the two."""
     best = fits[0]
@@ -220,14 +239,20 @@ def _decide(
     other = next(rivals, None)
     if other is None:
         return best, CERTAIN, None
-    # Corners fit worse than their kind promises when blur or a bent marker spoils them: the noise is then larger.
-    inflated = max(1.0, best.cost / max(2 * corners - 6, 1))
-    evidence = (other.cost - best.cost) / inflated
+    evidence = (other.cost - best.cost) / inflation
     if prior is not None:
         evidence += _prior_evidence(best.pose, other.pose, prior)
     if evidence < 0:
         best, other, evidence = other, best, -evidence
     return best, min(evidence, CERTAIN), None if evidence >= DECIDED else other.pose
+
+
+def _odds(rival: Fit, best: Fit, inflation: float, prior: Prior | None) -> float:
+    """How likely a rival is against the pose that was chosen, at most 1."""
+    evidence = (rival.cost - best.cost) / inflation
+    if prior is not None:
+        evidence += _prior_evidence(best.pose, rival.pose, prior)
+    return float(np.exp(-0.5 * max(evidence, 0.0)))
 
 
 def _prior_evidence(best: Pose, other: Pose, prior: Prior) -> float:

@@ -49,7 +49,7 @@ ACROSS_PX = np.arange(-3.0, 3.5)
 MAX_ALONG = 3
 """At how many places along an edge of one cell, at most."""
 MIN_PIXELS = 60
-CORRELATED = 1.35
+CORRELATED = 1.15
 """What the model can't explain is alike in neighbouring pixels: corners scatter by this more than from white noise."""
 FLOOR_PX = 0.004
 """Corners of noiseless rendered markers scatter by this."""

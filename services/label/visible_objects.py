@@ -27,11 +27,12 @@ SAME_PLACE = 0.25
 
 @dataclass(frozen=True, eq=False)
 class SeenMarker:
-    """A configured marker and its detection."""
+    """A configured marker and its detection; ``covariance`` (8, 8) px^2 of its corners where they were refined."""
 
     side: BoxSide
     marker: MarkerOnSide
     seen: DetectedMarker
+    covariance: Array | None = None
 
     @property
     def corners(self) -> Array:
@@ -41,6 +42,8 @@ class SeenMarker:
     @property
     def noise_px(self) -> float:
         """Standard deviation of a corner coordinate (px)."""
+        if self.covariance is not None:
+            return float(np.sqrt(np.trace(self.covariance) / 8))
         return CORNER_NOISE_PX.get(self.seen.kind, CORNER_NOISE_PX["contour"])
 
     @property
