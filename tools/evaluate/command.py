@@ -6,8 +6,12 @@ import argparse
 from types import ModuleType
 
 from common.errors import EXIT_USAGE
+from tools.evaluate import distance, pose
 
-EVALUATIONS: dict[str, ModuleType] = {}
+EVALUATIONS: dict[str, ModuleType] = {
+    "distance": distance,
+    "pose": pose,
+}
 """Each a module with ``add_parser(parser)`` and ``run(args) -> int``; its docstring is its help."""
 
 

@@ -20,6 +20,8 @@ class Difference:
     corner_px: float
     distance_mm: float
     true_distance_mm: float
+    corners_px: tuple[float, ...] = ()
+    """The error of each corner that has a projection."""
 
 
 def iou(first: Window, second: Window) -> float:
@@ -57,6 +59,7 @@ def compare(objects: Sequence[ObjectLabel], truth: Sequence[TrueObject]) -> list
                 float(np.mean(errors)) if errors else float("inf"),
                 item.distance_mm - true.distance_mm,
                 true.distance_mm,
+                tuple(errors),
             )
         )
     return differences
