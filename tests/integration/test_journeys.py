@@ -27,6 +27,7 @@ from tests.support.supervised import (
     check_session,
     failed,
     logs,
+    run_module,
     service_of,
     supervised,
 )
@@ -236,31 +237,19 @@ KEYS = {
 }
 
 
-@pytest.fixture
-def load_leaves_nothing() -> Iterator[None]:
-    """The load test has a prefix of its own: nothing of it may stay either."""
-    yield
-    assert list(Path("/dev/shm").glob("tagmill-load-*")) == []
-    assert processes_of("load") == {}
-
-
 def bench_load(*options: str) -> dict[str, object]:
+    """The load test's document; it has a prefix of its own, of which nothing may stay."""
     environment = {key: value for key, value in os.environ.items() if not key.startswith("TAGMILL_")}
-    done = subprocess.run(
-        [sys.executable, "-m", "tools", "bench", "load", "--size", "640x360", "--json", *options],
-        cwd=ROOT,
-        env=environment,
-        capture_output=True,
-        text=True,
-        timeout=300,
-        check=False,
-    )
+    words = ("tools", "bench", "load", "--size", "640x360", "--json", *options)
+    pid, done = run_module(*words, timeout_s=300, env=environment)
     assert done.returncode == 0, done.stdout[-4000:] + done.stderr[-4000:]
+    prefix = f"load-{pid}"
+    assert list(Path("/dev/shm").glob(f"tagmill-{prefix}-*")) == []
+    assert processes_of(prefix) == {}
     document: dict[str, object] = json.loads(done.stdout)
     return document
 
 
-@pytest.mark.usefixtures("load_leaves_nothing")
 def test_the_load_test_gives_figures_that_fit_together() -> None:
     load = bench_load("--cameras", "2", "--fps", "15", "--seconds", "4", "--stall-store")
     assert set(load) == {"seconds", "cameras", "processes", "records"}

@@ -4,6 +4,8 @@ from __future__ import annotations
 
 import os
 import signal
+import subprocess
+import sys
 from collections.abc import Iterator
 from contextlib import contextmanager
 from pathlib import Path
@@ -16,7 +18,7 @@ from common.bus import CommandClient, Endpoints, Poller
 from common.config.models import NetworkConfig
 from common.dataset import SessionReader
 from common.errors import TagmillError
-from tests.support.stack import wait_for
+from tests.support.stack import ROOT, wait_for
 from tools.stack.programs import SOCKET_FILE
 from tools.stack.running import running_stack, wait_ready
 from tools.stack.supervisor import Supervisor
@@ -119,6 +121,24 @@ def supervised(rig: Path, *cameras: str, **environment: str) -> Iterator[Supervi
     except BaseException:
         print(logs(endpoints.run_dir / "log", log))
         raise
+
+
+def run_module(
+    *words: str, timeout_s: float = DEADLINE_S, env: dict[str, str] | None = None
+) -> tuple[int, subprocess.CompletedProcess[str]]:
+    """``python -m WORDS`` to its end, killed at the deadline; its pid (part of its stack's prefix) and what it said."""
+    command = [sys.executable, "-m", *words]
+    pipe = subprocess.PIPE
+    process = subprocess.Popen(
+        command, cwd=ROOT, env=env, stdin=subprocess.DEVNULL, stdout=pipe, stderr=pipe, text=True
+    )
+    try:
+        said, complained = process.communicate(timeout=timeout_s)
+    except BaseException:
+        process.kill()
+        process.communicate()
+        raise
+    return process.pid, subprocess.CompletedProcess(command, process.returncode, said, complained)
 
 
 def failed(test: pytest.Item) -> bool:

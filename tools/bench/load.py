@@ -67,7 +67,7 @@ def run(args: argparse.Namespace) -> int:
         return EXIT_USAGE
     with tempfile.TemporaryDirectory(prefix="tagmill-load-") as folder:
         os.environ["TAGMILL_RUN_DIR"] = folder
-        os.environ["TAGMILL_PREFIX"] = "load"
+        os.environ["TAGMILL_PREFIX"] = f"load-{os.getpid()}"
         rig = write_rig(Path(folder), args, (int(size[1]), int(size[2])))
         environment = {"TAGMILL_LABEL_DELAY_MS": str(args.label_delay_ms)}
         log = Path(folder) / "stack.log"

@@ -43,14 +43,14 @@ def main(argv: list[str] | None = None) -> int:
     rig_path = Path(shutil.copy(RIG, out / "rig.yaml"))
     with tempfile.TemporaryDirectory(prefix="tagmill-demo-") as run:
         os.environ["TAGMILL_RUN_DIR"] = run
-        os.environ["TAGMILL_PREFIX"] = "demo"
+        os.environ["TAGMILL_PREFIX"] = prefix = f"demo-{os.getpid()}"
         try:
             with running_stack(rig_path, out / "stack.log"):
-                truths, rates = record(rig_path, Path(run) / "demo", console)
+                truths, rates = record(rig_path, Path(run) / prefix, console)
         except TagmillError as error:
             console.print(f"[bold]The demo failed:[/] {error.message}\nThe stack's log is {out / 'stack.log'}")
             return error.exit_code
-        left = sorted(path.name for path in Path("/dev/shm").glob("tagmill-demo-*"))  # noqa: S108 - where rings are
+        left = sorted(path.name for path in Path("/dev/shm").glob(f"tagmill-{prefix}-*"))  # noqa: S108 - where rings are
     session = SessionReader(out / "dataset" / "demo")
     good = show(session, truths, out / "contact-sheet.png", console)
     if left:
