@@ -126,10 +126,28 @@ def when_ready(up: Up) -> None:
 
 EARLY = (at_once, while_checking, as_the_supervisor_starts)
 LATE = (as_the_services_start, as_the_services_open, when_ready)
+QUICK = {
+    (at_once, signal.SIGINT),
+    (while_checking, signal.SIGTERM),
+    (as_the_supervisor_starts, signal.SIGINT),
+    (as_the_services_start, signal.SIGTERM),
+    (as_the_services_open, signal.SIGINT),
+    (when_ready, signal.SIGINT),
+}
+"""Each moment once; the other combinations belong to the long runs."""
+CASES = [
+    pytest.param(
+        moment,
+        number,
+        id=f"{moment.__name__}-{number.name}",
+        marks=() if (moment, number) in QUICK else pytest.mark.long,
+    )
+    for moment in (*EARLY, *LATE)
+    for number in (signal.SIGINT, signal.SIGTERM)
+]
 
 
-@pytest.mark.parametrize("number", [signal.SIGINT, signal.SIGTERM], ids=["ctrl-c", "sigterm"])
-@pytest.mark.parametrize("moment", [*EARLY, *LATE])
+@pytest.mark.parametrize(("moment", "number"), CASES)
 def test_a_signal_ends_everything(moment: Callable[[Up], None], number: signal.Signals, up: Up, place: Place) -> None:
     moment(up)
     code = up.end(number)
@@ -138,17 +156,11 @@ def test_a_signal_ends_everything(moment: Callable[[Up], None], number: signal.S
     assert processes_of(place.prefix) == {}
     if moment is when_ready:
         assert up.left() == []
-    # A service that got the signal before it could listen to it was cut off; what it left, `down` removes.
+        assert "Traceback" not in up.said() + logs(up.endpoints.run_dir / LOG_FOLDER)
+    # The supervisor may have been cut off while it was starting; what it left, `down` removes.
     ended = stop(up.endpoints, DEADLINE_S)
     assert (ended.ran, ended.alive) == (False, ())
     assert up.left() == []
-
-
-def test_a_ctrl_c_shows_no_traceback(up: Up) -> None:
-    up.wait_ready()
-    assert up.end(signal.SIGINT) == 0
-    services = logs(up.endpoints.run_dir / LOG_FOLDER)
-    assert "Traceback" not in up.said() + services
 
 
 # --- a second start
@@ -166,12 +178,15 @@ def test_a_second_up_is_refused_and_changes_nothing(up: Up) -> None:
     assert "Traceback" not in second.stderr
     assert supervisor.processes() == before
     assert up.end(signal.SIGTERM) == 0
+    assert up.left() == []
 
 
 # --- the supervisor is killed
 
 
-@pytest.mark.parametrize("moment", [as_the_services_start, as_the_services_open, when_ready])
+@pytest.mark.parametrize(
+    "moment", [as_the_services_start, pytest.param(as_the_services_open, marks=pytest.mark.long), when_ready]
+)
 def test_services_end_by_themselves_when_their_supervisor_is_killed(
     moment: Callable[[Up], None], up: Up, place: Place
 ) -> None:

@@ -133,8 +133,6 @@ def test_supervisord_starts_the_stack_and_stop_all_leaves_nothing(deployed: Depl
 
     assert {line for line in said.splitlines() if line} == {f"{program}: stopped" for program in PROGRAMS}
     assert deployed.left() == NOTHING
-    deployed.supervisorctl("start", "all")
-    stack.wait_ready("cam0")
     assert deployed.end() == 0
     assert deployed.left() == NOTHING
     check_session(deployed.folder / "dataset" / "synthetic")

@@ -104,6 +104,7 @@ def test_a_recording_goes_on_through_the_death_of_every_process(tmp_path: Path, 
     assert set(acknowledged["samples"]) <= set(SessionReader(session).samples())
 
 
+@pytest.mark.long
 def test_kills_at_random_moments(tmp_path: Path, place: Place) -> None:
     """Two at a time, one while the other is still coming back; a recording each round."""
     rig = tmp_path / "rig.yaml"
