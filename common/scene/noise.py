@@ -13,6 +13,8 @@ from common.scene.seeds import generator
 Pixels = TypeVar("Pixels", NDArray[np.uint8], NDArray[np.uint16])
 _SPARE = 128
 """The bank is larger than the picture by this, hence 128 x 128 different offsets."""
+_PER_FRAME = 1000
+"""Cameras may be faster than the scene's 30 frames to the second: then indices are fractions."""
 
 
 class NoiseBank:
@@ -33,9 +35,10 @@ class NoiseBank:
         self._more = np.clip(drawn, 0, limit).astype(dtype)
         self._less = np.clip(-drawn, 0, limit).astype(dtype)
 
-    def apply(self, pixels: Pixels, index: int) -> None:
-        """Add the noise of frame ``index`` to a picture in place."""
-        down, right = (int(v) for v in generator(self._seed, "offset", index).integers(0, _SPARE, 2))
+    def apply(self, pixels: Pixels, index: float) -> None:
+        """Add the noise of frame ``index`` to a picture in place; a thousandth of a frame later it is another."""
+        random = generator(self._seed, "offset", round(index * _PER_FRAME))
+        down, right = (int(v) for v in random.integers(0, _SPARE, 2))
         window = (slice(down, down + self._shape[0]), slice(right, right + self._shape[1]))
         cv2.add(pixels, self._more[window], dst=pixels)
         cv2.subtract(pixels, self._less[window], dst=pixels)

@@ -82,7 +82,7 @@ class SyntheticCamera:
     def _render(self, index: float) -> Rendered:
         options = self._options
         return self._camera.render(
-            int(index), markers=options.markers, noise=options.noise, blur_px=options.blur_px, depth=options.depth
+            index, markers=options.markers, noise=options.noise, blur_px=options.blur_px, depth=options.depth
         )
 
 
