@@ -26,7 +26,7 @@ from tools.words import words_for
 pytestmark = [pytest.mark.process, pytest.mark.timeout(400)]
 
 CAMERAS = ("cam0", "cam1")
-LABEL_DELAY_MS = "500"
+SLOW_LABEL = {"TAGMILL_LABEL_DELAY_MS": "500"}
 ORDER_TIMEOUT_S = 2.0
 
 
@@ -97,11 +97,13 @@ def count(stack: SupervisedStack, fps: int, seconds: float) -> dict[str, CameraL
         subscriber.close()
 
 
-def check_never_stalls(folder: Path, size: tuple[int, int], fps: int, seconds: float, stop: str) -> None:
-    """Count while the service ``stop`` stands still and labelling is slow, record orders being given all the while."""
+def check_never_stalls(
+    folder: Path, size: tuple[int, int], fps: int, seconds: float, stop: str, **environment: str
+) -> None:
+    """Count while the service ``stop`` stands still, record orders being given all the while."""
     rig = write_rig(folder, size, fps)
     orders = Orders()
-    with supervised(rig, *CAMERAS, TAGMILL_LABEL_DELAY_MS=LABEL_DELAY_MS) as stack:
+    with supervised(rig, *CAMERAS, **environment) as stack:
         before = stack.status()["services"]
         with stopped(before[stop]["pid"]), orders.while_here():
             loads = count(stack, fps, seconds)
@@ -141,14 +143,14 @@ def check_recovery(stack: SupervisedStack, session: Path, orders: Orders) -> Non
 
 
 def test_two_cameras_beside_a_slow_label_process_and_a_stopped_store(tmp_path: Path) -> None:
-    check_never_stalls(tmp_path, (640, 360), 30, 8.0, "store")
+    check_never_stalls(tmp_path, (640, 360), 30, 8.0, "store", **SLOW_LABEL)
 
 
-@pytest.mark.parametrize("service", ["detect.0", "label.0"])
+@pytest.mark.parametrize("service", [pytest.param("detect.0", marks=pytest.mark.long), "label.0"])
 def test_two_cameras_beside_a_stopped_reader_of_their_frames(service: str, tmp_path: Path) -> None:
     check_never_stalls(tmp_path, (640, 360), 15, 6.0, service)
 
 
 @pytest.mark.long
 def test_two_720p_cameras_for_twenty_seconds(tmp_path: Path) -> None:
-    check_never_stalls(tmp_path, (1280, 720), 30, 20.0, "store")
+    check_never_stalls(tmp_path, (1280, 720), 30, 20.0, "store", **SLOW_LABEL)
