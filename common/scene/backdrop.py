@@ -10,9 +10,10 @@ from numpy.typing import NDArray
 
 from common.geometry import Pose
 from common.scene.path import Room
-from common.scene.raster import Patch, Picture, Rectangle, draw_texture
+from common.scene.raster import Patch, Picture, draw_texture
 from common.scene.rays import PixelRays
 from common.scene.seeds import generator
+from common.scene.seen import Rectangle, look_at
 from common.scene.texture import Texture
 
 _PASSES = 2
@@ -58,8 +59,8 @@ def draw_backdrop(
     total = np.zeros((*shape, 3), np.float32)
     sides = []
     for side in _sides(room, frustum):
-        flat = Rectangle(to_camera.after(side.pose), side.width_mm, side.height_mm)
-        if flat.facing and rays.region_of(flat.corners):
+        (flat,) = look_at(rays, [Rectangle(to_camera.after(side.pose), side.width_mm, side.height_mm)])
+        if flat is not None:
             sides.append((side, flat, _surface(side, seed, clutter)))
     offsets = (np.arange(_PASSES) + 0.5) / _PASSES - 0.5
     for du in offsets:
@@ -95,12 +96,12 @@ def _sides(room: Room, frustum: tuple[float, float]) -> tuple[_Side, ...]:
         return _Side(name, pose, width, high, shade)
 
     return (
-        side("wall-back", across, -down, [0, level, back], 2 * half_width, height, 0.86),
-        side("wall-front", -across, -down, [0, level, front], 2 * half_width, height, 0.7),
-        side("wall-left", away, -down, [-half_width, level, depth_middle], length, height, 0.76),
-        side("wall-right", -away, -down, [half_width, level, depth_middle], length, height, 0.8),
-        side("table", across, away, [0, floor, depth_middle], 2 * half_width, length, 0.9),
-        side("ceiling", across, -away, [0, ceiling, depth_middle], 2 * half_width, length, 0.82),
+        side("wall-back", across, -down, [0, level, back], 2 * half_width, height, 0.97),
+        side("wall-front", -across, -down, [0, level, front], 2 * half_width, height, 0.82),
+        side("wall-left", away, -down, [-half_width, level, depth_middle], length, height, 0.88),
+        side("wall-right", -away, -down, [half_width, level, depth_middle], length, height, 0.92),
+        side("table", across, away, [0, floor, depth_middle], 2 * half_width, length, 1.0),
+        side("ceiling", across, -away, [0, ceiling, depth_middle], 2 * half_width, length, 0.95),
     )
 
 

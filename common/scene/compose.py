@@ -19,7 +19,8 @@ Draw = Callable[[Patch, PixelRays], None]
 class Composer:
     """The empty scene of one camera, and how regions of it are drawn over.
 
-    ``passes``: each pixel is the mean of passes x passes samples; 1 relies on analytic edges alone.
+    ``passes``: each pixel is the mean of passes x passes samples of the blurred scene; 1 relies on analytic edges
+    alone and blurs the finished pixels.
     """
 
     def __init__(self, rays: PixelRays, empty: Picture, empty_depth: Depth, light: Picture, passes: int) -> None:
@@ -44,26 +45,34 @@ class Composer:
         if self._passes == 1:
             patch = self._patch(drawn, patch_depth)
             draw(patch, self.rays)
-            done = patch.bgr
+            done = blurred(patch.bgr, blur_px)
         else:
-            done = self._averaged(drawn, draw)
+            done = self._sampled(drawn, blur_px, draw)
             if patch_depth is not None:
                 draw(self._patch(drawn, patch_depth), self.rays)
         put = region.grown(reach, self.rays.picture)
-        bgr[put.slices] = blurred(done, blur_px)[put.inside(drawn)]
+        bgr[put.slices] = done[put.inside(drawn)]
 
     def _patch(self, region: Region, depth: Depth | None, pixel: float = 1.0) -> Patch:
         return Patch(region, self._empty[region.slices].copy(), depth, self._light, pixel)
 
-    def _averaged(self, region: Region, draw: Draw) -> Picture:
-        total = np.zeros((region.y1 - region.y0, region.x1 - region.x0, 3), np.float32)
-        offsets = (np.arange(self._passes) + 0.5) / self._passes - 0.5
-        for du in offsets:
-            for dv in offsets:
-                patch = self._patch(region, None, 1.0 / self._passes)
+    def _sampled(self, region: Region, blur_px: float, draw: Draw) -> Picture:
+        """A region as a sensor sees it: the lens blurs first, and each pixel collects what then falls on it.
+
+        A blur of finished pixels makes profiles of edges that no lens makes; measured on them, the best of
+        corners seem to be off by some 0.02 px.
+        """
+        fine = self._passes
+        high, wide = region.y1 - region.y0, region.x1 - region.x0
+        samples = np.empty((high * fine, wide * fine, 3), np.uint8)
+        offsets = (np.arange(fine) + 0.5) / fine - 0.5
+        for row, dv in enumerate(offsets):
+            for column, du in enumerate(offsets):
+                patch = self._patch(region, None, 1.0 / fine)
                 draw(patch, self.rays.shifted(float(du), float(dv)))
-                total += patch.bgr
-        return np.rint(total / self._passes**2).astype(np.uint8)
+                samples[row::fine, column::fine] = patch.bgr
+        seen = blurred(samples, blur_px * fine)
+        return np.asarray(cv2.resize(seen, (wide, high), interpolation=cv2.INTER_AREA), dtype=np.uint8)
 
 
 def blurred(picture: Picture, sigma: float) -> Picture:

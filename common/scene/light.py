@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 from common.scene.seeds import generator
 
 Array = NDArray[np.float64]
-_AMBIENT = 0.5
+_AMBIENT = 0.58
 _PERIOD_FRAMES = 900.0
 
 
@@ -32,7 +32,7 @@ class Light:
     def exposure(self, index: float) -> float:
         """The gain of the whole picture at a frame, at most 1."""
         phase = self._phases[0] + 2 * np.pi * index / (_PERIOD_FRAMES * 0.61)
-        return float(1.0 - self.strength * 0.07 * (1.0 + np.sin(phase)))
+        return float(1.0 - self.strength * 0.045 * (1.0 + np.sin(phase)))
 
     def towards(self, index: float) -> Array:
         """The unit vector to the lamp, scene frame (x right, y down, z away from the first camera)."""

@@ -3,6 +3,8 @@
 from __future__ import annotations
 
 from collections.abc import Iterable, Mapping
+from dataclasses import dataclass
+from functools import reduce
 from typing import Protocol
 
 import numpy as np
@@ -12,8 +14,9 @@ from common.geometry import FACES, Box, BoxSide, MarkerOnSide, Pose
 from common.labels import FaceName
 from common.scene.light import Light
 from common.scene.look import face_texture
-from common.scene.raster import Patch, Rectangle, draw_marker, draw_texture
+from common.scene.raster import Patch, draw_marker, draw_texture
 from common.scene.rays import PixelRays, Region
+from common.scene.seen import Rectangle, Seen, look_at
 from common.scene.texture import Pattern, Texture
 
 Array = NDArray[np.float64]
@@ -27,6 +30,15 @@ class Patterns(Protocol):
         ...
 
 
+@dataclass(frozen=True, eq=False)
+class SeenBox:
+    """A box before a camera: the pixels that it and what sticks out of it can touch, what is seen, back to front."""
+
+    region: Region
+    faces: list[tuple[FaceName, Seen]]
+    stickers: list[tuple[MarkerOnSide, Seen]]
+
+
 class BoxDrawing:
     """Draws one box; textures are made when a face is first seen."""
 
@@ -38,35 +50,40 @@ class BoxDrawing:
             marker.id: Pattern(family.bitmap(marker.id), margin=marker.border_mm > 0) for _, marker in box.markers()
         }
 
-    def region(self, rays: PixelRays, pose: Pose) -> Region | None:
-        """The pixels that the box and what sticks out of it can touch; ``pose``: object to camera frame."""
-        found: Region | None = None
-        shapes = [self._face(face, pose) for face in FACES]
-        shapes += [self._sticker(side, marker, pose) for side, marker in self.box.markers()]
-        for shape in shapes:
-            touched = rays.region_of(shape.corners) if shape.facing else None
-            if touched is not None:
-                found = touched if found is None else found.union(touched)
-        return found
+    def see(self, rays: PixelRays, pose: Pose) -> SeenBox | None:
+        """How a camera sees the box; ``pose``: object to camera frame. None if it doesn't."""
+        faces = {face: self._face(face, pose) for face in FACES}
+        markers = self.box.markers()
+        stickers = [self._sticker(side, marker, pose) for side, marker in markers]
+        found = look_at(rays, [*faces.values(), *stickers])
+        regions = [seen.region for seen in found if seen is not None]
+        if not regions:
+            return None
+        # The broadest face last: its neighbours reach under its edges, where they can't stick out behind it.
+        in_order = sorted(
+            ((face, seen) for face, seen in zip(faces, found, strict=False) if seen is not None),
+            key=lambda item: item[1].shape.cosine,
+        )
+        papers = [
+            (marker, seen) for (_, marker), seen in zip(markers, found[len(faces) :], strict=True) if seen is not None
+        ]
+        return SeenBox(reduce(Region.union, regions), in_order, papers)
 
     def draw(
-        self, patch: Patch, rays: PixelRays, pose: Pose, to_scene: Pose, light: Light, index: float, *, markers: bool
+        self, patch: Patch, rays: PixelRays, seen: SeenBox, to_scene: Pose, light: Light, index: float, *, markers: bool
     ) -> None:
-        """Draw the box into a patch; ``pose``: object to camera frame, ``to_scene``: camera to scene frame."""
-        seen = {face: shape for face in FACES if (shape := self._face(face, pose)).facing}
-        # The broadest face last: its neighbours reach under its edges, where they can't stick out behind it.
-        order = sorted(seen, key=lambda face: seen[face].cosine)
-        for number, face in enumerate(order):
-            under = _shared_edges(face, order[number + 1 :])
-            shade = light.shade(to_scene.rotation @ seen[face].pose.rotation[:, 2], index)
-            draw_texture(patch, rays, seen[face], self._texture(face), shade, under)
-        if not markers:
-            return
-        for side, marker in self.box.markers():
-            sticker = self._sticker(side, marker, pose)
-            if sticker.facing:
-                shade = light.shade(to_scene.rotation @ sticker.pose.rotation[:, 2], index)
-                draw_marker(patch, rays, sticker, marker.size_mm, self._patterns[marker.id], shade)
+        """Draw the box into a patch; ``to_scene``: camera to scene frame, in which the lamp moves."""
+
+        def shade(shape: Rectangle) -> float:
+            return light.shade(to_scene.rotation @ shape.pose.rotation[:, 2], index)
+
+        names = [face for face, _ in seen.faces]
+        for number, (face, side) in enumerate(seen.faces):
+            under = _shared_edges(face, names[number + 1 :])
+            draw_texture(patch, rays, side, self._texture(face), shade(side.shape), under)
+        if markers:
+            for marker, paper in seen.stickers:
+                draw_marker(patch, rays, paper, marker.size_mm, self._patterns[marker.id], shade(paper.shape))
 
     def _face(self, face: FaceName, pose: Pose) -> Rectangle:
         width, height, _ = self.box.face_size(face)

@@ -22,6 +22,7 @@ FRAMES_PER_KEY = 75.0
 _UPRIGHT = np.array([[1.0, 0.0, 0.0], [0.0, 0.0, -1.0], [0.0, 1.0, 0.0]])
 """Object frame to camera frame of a box that stands upright with its front to the camera."""
 _YAW: dict[FaceName, float] = {"front": 0.0, "right": -90.0, "back": 180.0, "left": 90.0}
+_KEYS_KEPT = 16
 _FIT = 1.03
 _FAR = 1.6
 _CLOSER, _FARTHER = 0.8, 1.25
@@ -107,7 +108,7 @@ class Path:
         """A key's numbers; the newest few are kept."""
         if number not in self._keys:
             self._keys[number] = self._key(number).array()
-            while len(self._keys) > 16:
+            while len(self._keys) > _KEYS_KEPT:
                 self._keys.pop(next(iter(self._keys)))
         return self._keys[number]
 

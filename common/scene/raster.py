@@ -6,46 +6,21 @@ distorted afterwards, so edges are as sharp as the pixels and lie where the came
 
 from __future__ import annotations
 
-from collections.abc import Callable
 from dataclasses import dataclass
 
 import cv2
 import numpy as np
 from numpy.typing import NDArray
 
-from common.geometry import MARKER_CORNERS, Pose
+from common.scene.coverage import REACH_PX, inner_share
 from common.scene.rays import PixelRays, Plane, Region
+from common.scene.seen import Seen, slopes_at
 from common.scene.texture import Pattern, Texture
 
 Array = NDArray[np.float64]
 Picture = NDArray[np.uint8]
 BLACK, WHITE = 22.0, 236.0
 """Printer's black and paper white under full light, as grey values: neither clips under noise."""
-
-
-@dataclass(frozen=True, eq=False)
-class Rectangle:
-    """A rectangle in space: its frame (centre, x right, y up, z to the viewer) to the camera frame, size in mm."""
-
-    pose: Pose
-    width_mm: float
-    height_mm: float
-
-    @property
-    def corners(self) -> Array:
-        """TL TR BR BL (4, 3) in the camera frame."""
-        return self.pose.apply(MARKER_CORNERS * np.array([self.width_mm, self.height_mm, 0.0]))
-
-    @property
-    def facing(self) -> bool:
-        """Whether its front is towards the camera."""
-        return float(self.pose.rotation[:, 2] @ self.pose.translation) < 0.0
-
-    @property
-    def cosine(self) -> float:
-        """Cosine of the angle between its normal and the direction to the camera."""
-        distance = float(np.linalg.norm(self.pose.translation))
-        return -float(self.pose.rotation[:, 2] @ self.pose.translation) / max(distance, 1e-9)
 
 
 @dataclass(frozen=True, eq=False)
@@ -66,7 +41,7 @@ class Patch:
 def draw_texture(
     patch: Patch,
     rays: PixelRays,
-    shape: Rectangle,
+    seen: Seen,
     texture: Texture,
     shade: float,
     under: frozenset[int] = frozenset(),
@@ -76,106 +51,82 @@ def draw_texture(
     ``shade`` 0..1 darkens it; ``under``: edges (0 top, 1 right, 2 bottom, 3 left) beyond which a neighbour is
     drawn afterwards: there it reaches one pixel further, so that no background shines through the joint.
     """
-
-    def paint(region: Region, inverse: Array, depth_form: Plane) -> Picture:
-        jacobian = _footprint(rays, shape, region, inverse)
-        picture = texture.level((jacobian[0], jacobian[1]))
-        rows, columns = picture.shape[:2]
-        to_texels = np.array(
-            [
-                [columns / shape.width_mm, 0, columns / 2 - 0.5],
-                [0, -rows / shape.height_mm, rows / 2 - 0.5],
-            ]
-        )
-        weights = to_texels @ inverse
-        along_x = cv2.divide(rays.form(weights[0], region), depth_form)
-        along_y = cv2.divide(rays.form(weights[1], region), depth_form)
-        painted = cv2.remap(picture, along_x, along_y, cv2.INTER_LINEAR, borderMode=cv2.BORDER_REPLICATE)
-        return np.asarray(painted, dtype=np.uint8)
-
-    _draw(patch, rays, shape, shade, under, paint)
-
-
-def draw_marker(
-    patch: Patch, rays: PixelRays, sticker: Rectangle, size_mm: float, pattern: Pattern, shade: float
-) -> None:
-    """Draw a printed marker: the paper ``sticker`` with a black square of ``size_mm`` in its middle."""
-    cell_mm = size_mm / pattern.cells
-    to_cells = np.array([[1 / cell_mm, 0, pattern.cells / 2], [0, -1 / cell_mm, pattern.cells / 2]], dtype=np.float64)
-
-    def paint(region: Region, inverse: Array, depth_form: Plane) -> Picture:
-        jacobian = _footprint(rays, sticker, region, inverse)
-        weights = to_cells @ inverse
-        values = pattern.sample(
-            np.asarray(cv2.divide(rays.form(weights[0], region), depth_form), dtype=np.float32),
-            np.asarray(cv2.divide(rays.form(weights[1], region), depth_form), dtype=np.float32),
-            (jacobian[0] * patch.pixel / cell_mm, jacobian[1] * patch.pixel / cell_mm),
-        )
-        grey = cv2.convertScaleAbs(values, alpha=WHITE - BLACK, beta=BLACK)
-        return np.asarray(cv2.cvtColor(grey, cv2.COLOR_GRAY2BGR), dtype=np.uint8)
-
-    _draw(patch, rays, sticker, shade, frozenset(), paint)
-
-
-def _draw(
-    patch: Patch,
-    rays: PixelRays,
-    shape: Rectangle,
-    shade: float,
-    under: frozenset[int],
-    paint: Callable[[Region, Array, Plane], Picture],
-) -> None:
-    """Shared by all: which pixels, what covers them how far, light, blending, depth."""
-    touched = rays.region_of(shape.corners)
-    region = touched.overlap(patch.region) if touched else None
+    region = seen.region.overlap(patch.region)
     if region is None:
         return
-    # Columns of the homography: a point (x, y) of the plane lies on the ray of H (x, y, 1); so the last row
-    # of its inverse applied to a ray is 1 / z.
-    rotation, translation = shape.pose.rotation, shape.pose.translation
-    inverse = np.linalg.inv(np.column_stack([rotation[:, 0], rotation[:, 1], translation]))
-    inverse_z = rays.form(inverse[2], region)
-    inside = _inside(rays, shape.corners, region, frozenset())
-    coverage = _inside(rays, shape.corners, region, under) if under else inside
-    coverage = np.clip(coverage / np.float32(patch.pixel) + np.float32(0.5), 0.0, 1.0)
-    painted = cv2.multiply(paint(region, inverse, inverse_z), patch.light[region.slices], scale=shade / 255.0)
+    width, height = seen.shape.width_mm, seen.shape.height_mm
+    picture = texture.level((seen.footprint[0] * patch.pixel, seen.footprint[1] * patch.pixel))
+    rows, columns = picture.shape[:2]
+    to_texels = np.array([[columns / width, 0, columns / 2 - 0.5], [0, -rows / height, rows / 2 - 0.5]])
+    inverse_z = rays.form(seen.inverse[2], region)
+    along_x, along_y = _plane_coordinates(rays, to_texels @ seen.inverse, inverse_z, region)
+    painted = cv2.remap(picture, along_x, along_y, cv2.INTER_LINEAR, borderMode=cv2.BORDER_REPLICATE)
+    _lay(patch, rays, seen, region, np.asarray(painted, dtype=np.uint8), inverse_z, shade, under)
+
+
+def draw_marker(patch: Patch, rays: PixelRays, seen: Seen, size_mm: float, pattern: Pattern, shade: float) -> None:
+    """Draw a printed marker: ``seen`` is the paper, with a black square of ``size_mm`` in its middle."""
+    region = seen.region.overlap(patch.region)
+    if region is None:
+        return
+    cell_mm = size_mm / pattern.cells
+    to_cells = np.array([[1 / cell_mm, 0, pattern.cells / 2], [0, -1 / cell_mm, pattern.cells / 2]])
+    inverse_z = rays.form(seen.inverse[2], region)
+    across, down = _plane_coordinates(rays, to_cells @ seen.inverse, inverse_z, region)
+    crossings = (pattern.crossings - pattern.cells / 2) * [cell_mm, -cell_mm]
+    slopes = to_cells[:, :2] @ slopes_at(rays, seen, crossings) * patch.pixel
+    values = pattern.sample(across, down, slopes)
+    grey = cv2.convertScaleAbs(values, alpha=WHITE - BLACK, beta=BLACK)
+    painted = np.asarray(cv2.cvtColor(grey, cv2.COLOR_GRAY2BGR), dtype=np.uint8)
+    _lay(patch, rays, seen, region, painted, inverse_z, shade, frozenset())
+
+
+def _plane_coordinates(rays: PixelRays, weights: Array, inverse_z: Plane, region: Region) -> tuple[Plane, Plane]:
+    """Where each pixel's ray meets the plane, in the units of ``weights`` (2, 3)."""
+    across, down = (cv2.divide(rays.form(row, region), inverse_z) for row in weights)
+    return np.asarray(across, dtype=np.float32), np.asarray(down, dtype=np.float32)
+
+
+def _lay(
+    patch: Patch,
+    rays: PixelRays,
+    seen: Seen,
+    region: Region,
+    painted: Picture,
+    inverse_z: Plane,
+    shade: float,
+    under: frozenset[int],
+) -> None:
+    """Put painted pixels into the patch: lit, blended at the edges, with their depth."""
+    distances = [rays.form(line, region) for line in seen.edges]
+    reached = _least(distances)
+    lit = np.asarray(cv2.multiply(painted, patch.light[region.slices], scale=shade / 255.0), dtype=np.uint8)
     target = patch.bgr[region.inside(patch.region)]
-    target[...] = cv2.blendLinear(painted, np.ascontiguousarray(target), coverage, 1.0 - coverage)
     if patch.depth is not None:
-        with np.errstate(divide="ignore", invalid="ignore"):
-            depth = np.clip(np.rint(1.0 / inverse_z), 0, 65535)
-        hit = (inside >= 0.0) & (inverse_z > 0.0)
-        np.copyto(patch.depth[region.inside(patch.region)], depth.astype(np.uint16), where=hit)
+        depth = cv2.divide(1.0, inverse_z, dtype=cv2.CV_16U)
+        cv2.copyTo(depth, (reached >= 0.0).view(np.uint8), patch.depth[region.inside(patch.region)])
+    if under:
+        for edge in under:
+            distances[edge] += 1.0
+        reached = _least(distances)
+    # Nearly all pixels are covered entirely or not at all.
+    reach = REACH_PX * patch.pixel
+    cv2.copyTo(lit, (reached >= reach).view(np.uint8), target)
+    cut: NDArray[np.int32] | None = cv2.findNonZero(cv2.inRange(reached, -reach, reach))  # type: ignore[assignment]
+    if cut is None:
+        return
+    columns, rows = cut.reshape(-1, 2).T
+    flat = rows * reached.shape[1] + columns
+    from_edges = np.stack([distance.ravel().take(flat) for distance in distances])
+    across, down = seen.normals[from_edges.argmin(axis=0)].astype(np.float32).T
+    share = inner_share(from_edges.min(axis=0) / np.float32(patch.pixel), across, down)[:, None]
+    below = target[rows, columns]
+    mixed = below + share * (lit.reshape(-1, 3)[flat].astype(np.float32) - below)
+    target[rows, columns] = (mixed + np.float32(0.5)).astype(np.uint8)
 
 
-def _inside(rays: PixelRays, corners: Array, region: Region, under: frozenset[int]) -> Plane:
-    """Distance in px (float32, near the edges) of each pixel's centre from the outline, positive inside."""
-    starts, ends = corners, corners[[1, 2, 3, 0]]
-    planes = np.cross(starts, ends)
-    planes *= np.sign(planes @ corners.mean(axis=0))[:, None]
-    middles, _ = rays.camera.project((starts + ends) / 2)
-    nearest: Plane | None = None
-    for edge, (plane, middle) in enumerate(zip(planes, middles, strict=True)):
-        (x_u, x_v), (y_u, y_v) = rays.jacobian(middle)
-        slope = float(np.hypot(plane[0] * x_u + plane[1] * y_u, plane[0] * x_v + plane[1] * y_v))
-        weights = plane / max(slope, 1e-12)
-        if edge in under:
-            weights[2] += 1.0
-        distance = rays.form(weights, region)
-        nearest = distance if nearest is None else np.asarray(cv2.min(nearest, distance), dtype=np.float32)
-    assert nearest is not None
-    return nearest
-
-
-def _footprint(rays: PixelRays, shape: Rectangle, region: Region, inverse: Array) -> tuple[float, float]:
-    """How many mm of the plane's x and y axes a pixel covers in the middle of what is visible of the shape."""
-    middle, front = rays.camera.project(shape.pose.translation)
-    pixel = middle[0] if front[0] else np.array([region.x0 + region.x1, region.y0 + region.y1]) / 2
-    u = int(np.clip(round(float(pixel[0])), region.x0, region.x1 - 1))
-    v = int(np.clip(round(float(pixel[1])), region.y0, region.y1 - 1))
-    x, y, scale = inverse @ np.array([float(rays.x[v, u]), float(rays.y[v, u]), 1.0])
-    if abs(scale) < 1e-12:
-        return 1e9, 1e9
-    along = (inverse[:2, :2] - np.array([[x], [y]]) / scale * inverse[2, :2]) / scale
-    slopes = along @ rays.jacobian(np.array([u, v], dtype=np.float64))
-    return float(np.hypot(*slopes[0])), float(np.hypot(*slopes[1]))
+def _least(planes: list[Plane]) -> Plane:
+    least = planes[0]
+    for plane in planes[1:]:
+        least = np.asarray(cv2.min(least, plane), dtype=np.float32)
+    return least

@@ -94,7 +94,7 @@ class Scene:
         self,
         camera: CameraModel,
         poses: Mapping[str, Pose] | None = None,
-        index: int = 0,
+        index: float = 0,
         *,
         markers: bool = True,
         noise: float = 2.0,
@@ -144,7 +144,7 @@ class SceneCamera:
 
     def render(
         self,
-        index: int,
+        index: float,
         poses: Mapping[str, Pose] | None = None,
         *,
         markers: bool = True,
@@ -156,9 +156,10 @@ class SceneCamera:
         """Draw one frame.
 
         ``poses``: object to camera frame by name (None: the path's at ``index``; objects left out aren't
-        drawn); they must not intersect. ``index`` also decides noise and light. ``markers=False`` draws the
-        same frame with nothing stuck to the objects: equal pixels wherever no sticker is within the blur's
-        reach. ``noise`` is the sigma in grey values, ``blur_px`` that of the lens in px.
+        drawn); they must not intersect. ``index`` (30 to the second, fractions allowed) also decides noise and
+        light. ``markers=False`` draws the same frame with nothing stuck to the objects: equal pixels wherever no
+        sticker is within the blur's reach. ``noise`` is the sigma in grey values, ``blur_px`` that of the lens
+        in px.
         """
         placed = dict(self.poses(index) if poses is None else poses)
         bgr, depths = self._composer.start(blur_px, depth=depth)
@@ -173,20 +174,26 @@ class SceneCamera:
         return Rendered(bgr, depths, true_objects(self.scene.boxes, self.camera, placed))
 
     def _draw_objects(
-        self, bgr: Picture, depths: Depth | None, placed: dict[str, Pose], index: int, blur_px: float, *, markers: bool
+        self,
+        bgr: Picture,
+        depths: Depth | None,
+        placed: dict[str, Pose],
+        index: float,
+        blur_px: float,
+        *,
+        markers: bool,
     ) -> None:
         drawings, rays = self.scene.drawings, self._composer.rays
         to_scene = self.from_scene.inverse()
         order = back_to_front(self.scene.boxes, placed)
-        touched = [(name, region) for name in order if (region := drawings[name].region(rays, placed[name]))]
+        seen = {name: found for name in order if (found := drawings[name].see(rays, placed[name]))}
 
         def draw(names: frozenset[str], patch: Patch, through: PixelRays) -> None:
-            for name in order:
+            for name, box in seen.items():
                 if name in names:
-                    drawings[name].draw(
-                        patch, through, placed[name], to_scene, self.scene.light, index, markers=markers
-                    )
+                    drawings[name].draw(patch, through, box, to_scene, self.scene.light, index, markers=markers)
 
+        touched = ((name, box.region) for name, box in seen.items())
         for names, region in merged(touched, 4 * reach_of(blur_px)):
             self._composer.draw(bgr, depths, region, blur_px, partial(draw, names))
 

@@ -2,12 +2,17 @@
 
 from __future__ import annotations
 
+from functools import cached_property
+
 import cv2
 import numpy as np
 from numpy.typing import NDArray
 
+from common.scene.coverage import inner_share
+
 Picture = NDArray[np.uint8]
 Values = NDArray[np.float32]
+Array = NDArray[np.float64]
 
 
 class Texture:
@@ -58,22 +63,36 @@ class Pattern:
             np.ascontiguousarray(c).ravel() for c in (p00, p01 - p00, p10 - p00, p11 - p10 - p01 + p00)
         )
 
-    def sample(self, a: Values, b: Values, footprint: tuple[float, float]) -> Values:
+    @cached_property
+    def crossings(self) -> Array:
+        """Cell coordinates (N, 2) of the points where cell borders cross, row by row."""
+        steps = np.arange(self.cells + 1, dtype=np.float64)
+        a, b = np.meshgrid(steps, steps)
+        return np.column_stack([a.ravel(), b.ravel()])
+
+    def sample(self, a: Values, b: Values, slopes: Array) -> Values:
         """Brightness 0..1 at cell coordinates ``a`` (rightwards), ``b`` (downwards), 0..n over the black square.
 
-        ``footprint``: a pixel's extent in cells along both; above one cell the pattern is only interpolated.
+        ``slopes`` (N, 2, 2): by how many cells a and b change from a pixel to the next one right, down, at each of
+        the ``crossings``. Where a cell is smaller than a pixel the pattern is only interpolated.
         """
-        column, x = self._ramp(a, footprint[0])
-        row, y = self._ramp(b, footprint[1])
+        column = np.clip(np.rint(a), 0, self.cells)
+        row = np.clip(np.rint(b), 0, self.cells)
         index = (row * (self.cells + 1) + column).astype(np.intp)
+        x = _ramp(a - column, slopes[:, 0], index)
+        y = _ramp(b - row, slopes[:, 1], index)
         c0, c1, c2, c3 = (np.take(c, index) for c in self._coefficients)
         value: Values = c0 + c1 * x + (c2 + c3 * x) * y
         return value
 
-    def _ramp(self, coordinate: Values, footprint: float) -> tuple[Values, Values]:
-        border = np.clip(np.rint(coordinate), 0, self.cells)
-        width = np.float32(max(min(footprint, 1.0), 1e-6))
-        return border, np.clip((coordinate - border) / width + np.float32(0.5), 0.0, 1.0)
+
+def _ramp(from_border: Values, slopes: Array, index: NDArray[np.intp]) -> Values:
+    """How far beyond the nearest cell border each pixel is, 0..1; ``slopes`` (N, 2) of this coordinate."""
+    steep = np.maximum(np.hypot(slopes[:, 0], slopes[:, 1]), 1e-6)[:, None]
+    normals = np.abs(slopes) / steep
+    pixels_per_cell = np.maximum(1.0 / steep[:, 0], normals.sum(axis=1))
+    scale, across, down = (np.take(v.astype(np.float32), index) for v in (pixels_per_cell, *normals.T))
+    return inner_share(from_border * scale, across, down)
 
 
 def _halvings(ratio: float, texels: int) -> int:

@@ -7,13 +7,25 @@ from collections.abc import Iterable, Mapping
 import numpy as np
 from numpy.typing import NDArray
 
-from common.geometry import MARKER_CORNERS, Box, BoxSide, CameraModel, MarkerOnSide, Pose
+from common.geometry import MARKER_CORNERS, Box, CameraModel, Pose, hidden
 from common.labels import Point, Quad, Window
 from common.messages import TrueMarker, TrueObject
 
 Array = NDArray[np.float64]
 _GRID = 6
 """A marker counts as covered if one of so many points by so many on its square is."""
+
+
+def _grid_weights() -> Array:
+    """Weights (points, 4) of the corners TL TR BR BL for a grid of points over a square."""
+    across, down = (axis.ravel() for axis in np.meshgrid(np.linspace(0, 1, _GRID), np.linspace(0, 1, _GRID)))
+    weights: Array = np.stack(
+        [(1 - across) * (1 - down), across * (1 - down), across * down, (1 - across) * down], axis=1
+    )
+    return weights
+
+
+_GRID_WEIGHTS = _grid_weights()
 
 
 def true_objects(boxes: Iterable[Box], camera: CameraModel, poses: Mapping[str, Pose]) -> tuple[TrueObject, ...]:
@@ -30,8 +42,6 @@ def true_objects(boxes: Iterable[Box], camera: CameraModel, poses: Mapping[str, 
         if not front.all():
             continue
         low, high = pixels.min(axis=0), pixels.max(axis=0)
-        others = [(other, poses[other.name]) for other in placed if other is not box]
-        markers = (_true_marker(box, side, marker, camera, pose, others) for side, marker in box.markers())
         rvec, tvec = pose.rvec, pose.translation
         found.append(
             TrueObject(
@@ -41,45 +51,43 @@ def true_objects(boxes: Iterable[Box], camera: CameraModel, poses: Mapping[str, 
                 corners=tuple(_points(pixels)),
                 window=Window(x_min=float(low[0]), y_min=float(low[1]), x_max=float(high[0]), y_max=float(high[1])),
                 distance_mm=float(np.linalg.norm(tvec)),
-                markers=tuple(marker for marker in markers if marker is not None),
+                markers=_true_markers(
+                    box, pose, camera, [(other, poses[other.name]) for other in placed if other is not box]
+                ),
             )
         )
     return tuple(found)
 
 
-def _true_marker(
-    box: Box, side: BoxSide, marker: MarkerOnSide, camera: CameraModel, pose: Pose, others: list[tuple[Box, Pose]]
-) -> TrueMarker | None:
-    """None if a corner lies behind the camera (a carrier that sticks out of its box can)."""
-    to_camera = pose.after(box.marker_pose(side, marker))
-    pixels, front = camera.project(to_camera.apply(MARKER_CORNERS * marker.size_mm))
-    if not front.all():
-        return None
-    towards = float(to_camera.rotation[:, 2] @ to_camera.translation) < 0.0
-    visible = towards and bool(camera.contains(pixels).all())
-    if visible and others:
-        steps = np.linspace(-0.5, 0.5, _GRID) * marker.size_mm
-        x, y = np.meshgrid(steps, steps)
-        points = to_camera.apply(np.column_stack([x.ravel(), y.ravel(), np.zeros(x.size)]))
-        visible = not any(covers(other, other_pose, points).any() for other, other_pose in others)
+def _true_markers(box: Box, pose: Pose, camera: CameraModel, others: list[tuple[Box, Pose]]) -> tuple[TrueMarker, ...]:
+    """Markers of a box, without those that have a corner behind the camera (a carrier that sticks out can)."""
+    markers = box.markers()
+    if not markers:
+        return ()
+    frames = [pose.after(box.marker_pose(side, marker)) for side, marker in markers]
+    corners = np.array(
+        [frame.apply(MARKER_CORNERS * marker.size_mm) for frame, (_, marker) in zip(frames, markers, strict=True)]
+    )
+    pixels, front = camera.project(corners.reshape(-1, 3))
+    quads, ahead = pixels.reshape(-1, 4, 2), np.asarray(front.reshape(-1, 4).all(axis=1))
+    whole = camera.contains(pixels).reshape(-1, 4).all(axis=1)
+    towards = np.array([float(frame.rotation[:, 2] @ frame.translation) < 0.0 for frame in frames])
+    visible = np.asarray(ahead & whole & towards, dtype=bool)
+    if others and visible.any():
+        # Any point of the square is a mean of its corners; in the camera frame as well.
+        points = np.einsum("kc,mcx->mkx", _GRID_WEIGHTS, corners[visible])
+        covered = hidden(points.reshape(-1, 3), others).reshape(len(points), -1).any(axis=1)
+        visible[np.flatnonzero(visible)[covered]] = False
+    return tuple(
+        TrueMarker(id=marker.id, corners=_quad(quad), visible=bool(seen))
+        for (_, marker), quad, seen, known in zip(markers, quads, visible, ahead, strict=True)
+        if known
+    )
+
+
+def _quad(pixels: Array) -> Quad:
     top_left, top_right, bottom_right, bottom_left = _points(pixels)
-    corners: Quad = (top_left, top_right, bottom_right, bottom_left)
-    return TrueMarker(id=marker.id, corners=corners, visible=visible)
-
-
-def covers(box: Box, pose: Pose, points: Array) -> NDArray[np.bool_]:
-    """Which points (N, 3) in the camera frame a box hides from the camera (slab test of the line of sight)."""
-    back = pose.inverse()
-    eye = back.apply(np.zeros(3))
-    sight = back.apply(points) - eye
-    width, height, depth = box.size_mm
-    half = np.array([width, depth, height]) / 2
-    sight = np.where(np.abs(sight) < 1e-12, 1e-12, sight)
-    first, second = (-half - eye) / sight, (half - eye) / sight
-    enters = np.minimum(first, second).max(axis=1)
-    leaves = np.maximum(first, second).min(axis=1)
-    hidden: NDArray[np.bool_] = (enters < leaves) & (leaves > 0.0) & (enters < 1.0)
-    return hidden
+    return (top_left, top_right, bottom_right, bottom_left)
 
 
 def _points(pixels: Array) -> list[Point]:
