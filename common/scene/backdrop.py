@@ -18,6 +18,7 @@ from common.scene.texture import Texture
 
 _PASSES = 2
 _LONGEST_SIDE = 2400
+_ALL_EDGES = frozenset(range(4))
 _WALLS = ((196.0, 204.0, 206.0), (186.0, 190.0, 176.0), (206.0, 200.0, 188.0), (178.0, 194.0, 204.0))
 _POSTERS = (
     (58.0, 92.0, 190.0),
@@ -41,42 +42,47 @@ class _Side:
     shade: float
 
 
-def draw_backdrop(
-    rays: PixelRays,
-    to_camera: Pose,
-    room: Room,
-    frustum: tuple[float, float],
-    seed: int,
-    clutter: float,
-    light: Picture,
-) -> tuple[Picture, NDArray[np.uint16]]:
-    """The empty scene: BGR (H, W, 3) and depth (H, W) in mm, 0 where nothing is.
+class Backdrop:
+    """The room of a scene; its surfaces are painted when a camera first sees them, and then kept.
 
-    ``to_camera``: scene frame to camera frame; ``clutter``: 0 bare ... 1 much hangs and lies about.
+    ``frustum``: tangents of half the field of view of the cameras; ``clutter``: 0 bare ... 1 much hangs and lies about.
     """
-    shape = (rays.camera.height, rays.camera.width)
-    depth = np.zeros(shape, np.uint16)
-    total = np.zeros((*shape, 3), np.float32)
-    sides = []
-    for side in _sides(room, frustum):
-        (flat,) = look_at(rays, [Rectangle(to_camera.after(side.pose), side.width_mm, side.height_mm)])
-        if flat is not None:
-            sides.append((side, flat, _surface(side, seed, clutter)))
-    offsets = (np.arange(_PASSES) + 0.5) / _PASSES - 0.5
-    for du in offsets:
-        for dv in offsets:
-            patch = Patch(rays.picture, np.full((*shape, 3), 90, np.uint8), depth, light, 1.0 / _PASSES)
-            for side, flat, texture in sides:
-                draw_texture(patch, rays.shifted(float(du), float(dv)), flat, texture, side.shade, _ALL_EDGES)
-            total += patch.bgr
-    depth[...] = 0
-    final = Patch(rays.picture, np.zeros((*shape, 3), np.uint8), depth, light)
-    for side, flat, texture in sides:
-        draw_texture(final, rays, flat, texture, side.shade, _ALL_EDGES)
-    return np.rint(total / _PASSES**2).astype(np.uint8), depth
 
+    def __init__(self, room: Room, frustum: tuple[float, float], seed: int, clutter: float) -> None:
+        self._sides = _sides(room, frustum)
+        self._seed = seed
+        self._clutter = clutter
+        self._surfaces: dict[str, Texture] = {}
 
-_ALL_EDGES = frozenset(range(4))
+    def draw(self, rays: PixelRays, to_camera: Pose, light: Picture) -> tuple[Picture, NDArray[np.uint16]]:
+        """The empty scene: BGR (H, W, 3) and depth (H, W) in mm, 0 where nothing is.
+
+        ``to_camera``: scene frame to camera frame; ``light`` (H, W, 3): 255 = all.
+        """
+        shape = (rays.camera.height, rays.camera.width)
+        rectangles = [Rectangle(to_camera.after(side.pose), side.width_mm, side.height_mm) for side in self._sides]
+        seen = [(side, flat) for side, flat in zip(self._sides, look_at(rays, rectangles), strict=True) if flat]
+        total = np.zeros((*shape, 3), np.float32)
+        depth = np.zeros(shape, np.uint16)
+        offsets = (np.arange(_PASSES) + 0.5) / _PASSES - 0.5
+        for du in offsets:
+            for dv in offsets:
+                through = rays.shifted(float(du), float(dv))
+                patch = Patch(rays.picture, np.full((*shape, 3), 90, np.uint8), depth, light, 1.0 / _PASSES)
+                for side, flat in seen:
+                    draw_texture(patch, through, flat, self._surface(side), side.shade, _ALL_EDGES)
+                total += patch.bgr
+        # Colours are the mean of all passes, depth is that of the pixels' centres.
+        depth[...] = 0
+        final = Patch(rays.picture, np.zeros((*shape, 3), np.uint8), depth, light)
+        for side, flat in seen:
+            draw_texture(final, rays, flat, self._surface(side), side.shade, _ALL_EDGES)
+        return np.rint(total / _PASSES**2).astype(np.uint8), depth
+
+    def _surface(self, side: _Side) -> Texture:
+        if side.name not in self._surfaces:
+            self._surfaces[side.name] = _surface(side, self._seed, self._clutter)
+        return self._surfaces[side.name]
 
 
 def _sides(room: Room, frustum: tuple[float, float]) -> tuple[_Side, ...]:

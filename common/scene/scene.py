@@ -13,7 +13,7 @@ from numpy.typing import NDArray
 
 from common.geometry import Box, CameraModel, Pose
 from common.messages import TrueObject
-from common.scene.backdrop import draw_backdrop
+from common.scene.backdrop import Backdrop
 from common.scene.compose import Composer, merged, reach_of
 from common.scene.light import Light
 from common.scene.noise import NoiseBank
@@ -66,10 +66,9 @@ class Scene:
     ) -> None:
         self.boxes = tuple(boxes)
         self.seed = seed
-        self.frustum = frustum
-        self.clutter = clutter
         self.light = Light(seed, light)
         self.room = Room(self.boxes, frustum, distance_mm)
+        self.backdrop = Backdrop(self.room, frustum, seed, clutter)
         self.drawings = {box.name: BoxDrawing(box, family, seed) for box in self.boxes}
         self._paths = {box.name: Path(box, number, self.room, seed, speed) for number, box in enumerate(self.boxes)}
         self._cameras: list[SceneCamera] = []
@@ -133,9 +132,7 @@ class SceneCamera:
         self._banks: dict[str, tuple[float, NoiseBank]] = {}
         rays = PixelRays.of(camera)
         light = scene.light.field(camera.width, camera.height)
-        empty, empty_depth = draw_backdrop(
-            rays, self.from_scene, scene.room, scene.frustum, scene.seed, scene.clutter, light
-        )
+        empty, empty_depth = scene.backdrop.draw(rays, self.from_scene, light)
         self._composer = Composer(rays, empty, empty_depth, light, 1 if quality == "fast" else EXACT_PASSES)
 
     def poses(self, index: float) -> dict[str, Pose]:
