@@ -5,7 +5,7 @@ from __future__ import annotations
 from pathlib import Path
 from typing import Annotated, Any, Literal
 
-from pydantic import BaseModel, ConfigDict, Field
+from pydantic import BaseModel, ConfigDict, Field, field_validator
 
 from common.ids import NAME_PATTERN
 from common.labels import FaceName
@@ -156,10 +156,15 @@ class RigConfig(Section):
     inpaint: InpaintConfig = InpaintConfig()
 
 
+_DISTORTION_LENGTHS = (0, 4, 5, 8, 12, 14)
+"""How many coefficients cv2's pinhole model can have; none is a lens without distortion."""
+
+
 class SyntheticOptions(Section):
     """Keys of ``driver: synthetic``. The scene moves on a path that follows from ``seed``.
 
     ``view``: degrees by which this camera went round the scene's middle; cameras of one seed see one scene.
+    ``light`` and ``clutter``: 0 even and unchanging, bare ... 1 one lamp that wanders, much lies and hangs about.
     """
 
     seed: int = 1
@@ -169,12 +174,22 @@ class SyntheticOptions(Section):
     noise: Annotated[float, Field(ge=0, le=100)] = 2.0
     blur_px: Annotated[float, Field(ge=0, le=20)] = 0.6
     focal_px: Annotated[float, Field(gt=0)] | None = None
-    distortion: tuple[float, ...] = (0.08, -0.15, 0.0005, -0.0005, 0.05)
+    light: Annotated[float, Field(ge=0, le=1)] = 1.0
+    clutter: Annotated[float, Field(ge=0, le=1)] = 1.0
+    distortion: tuple[Annotated[float, Field(allow_inf_nan=False)], ...] = (0.08, -0.15, 0.0005, -0.0005, 0.05)
     distance_mm: Annotated[float, Field(gt=0)] | None = None
     speed: Annotated[float, Field(ge=0, le=100)] = 1.0
     view: Annotated[float, Field(ge=-180, le=180)] = 0.0
     frames: Annotated[int, Field(ge=1)] | None = None
     prerendered: Annotated[int, Field(ge=0, le=10000)] = 0
+
+    @field_validator("distortion")
+    @classmethod
+    def _of_cv2_length(cls, value: tuple[float, ...]) -> tuple[float, ...]:
+        if len(value) not in _DISTORTION_LENGTHS:
+            lengths = ", ".join(map(str, _DISTORTION_LENGTHS))
+            raise ValueError(f"k1, k2, p1, p2, k3, ...: {lengths} numbers, not {len(value)}")
+        return value
 
 
 class FilesOptions(Section):

@@ -42,6 +42,8 @@ class SyntheticCamera:
             frustum=frustum,
             distance_mm=options.distance_mm,
             speed=options.speed,
+            clutter=options.clutter,
+            light=options.light,
         )
         self._camera = SceneCamera(scene, model, view_deg=options.view)
         self._next = 0
@@ -103,5 +105,5 @@ def _intrinsics(name: str, config: CameraConfig, options: SyntheticOptions, rig:
     width, height = config.width or SIZE[0], config.height or SIZE[1]
     focal = options.focal_px or FOCAL_PER_WIDTH * width
     matrix = np.array([[focal, 0, (width - 1) / 2], [0, focal, (height - 1) / 2], [0, 0, 1]])
-    model = CameraModel(width, height, matrix, np.array(options.distortion))
+    model = CameraModel(width, height, matrix, np.array(options.distortion or (0.0,) * 5))
     return label_of(name, model, intrinsics_from="truth", serial=f"synthetic-{options.seed}")

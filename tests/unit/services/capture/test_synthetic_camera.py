@@ -187,7 +187,20 @@ def test_a_calibration_decides_size_and_lens(tmp_path: Path) -> None:
     assert camera.grab(5.0).bgr.shape == (90, 160, 3)
 
 
-@pytest.mark.parametrize("keys", ["noise: -1", "frames: 0", "colour: red"])
+def test_a_lens_without_distortion_and_an_even_light(opened: Open) -> None:
+    plain = opened("distortion: [], light: 0, clutter: 0, fps: 200")
+    assert plain.describe().camera.distortion == (0.0,) * 5
+    matrix = np.array(plain.describe().camera.matrix)
+    frame, full = plain.grab(5.0), opened("distortion: [], fps: 200").grab(5.0)
+    assert frame.truth is not None
+    (true,) = frame.truth
+    corner = Pose.from_rvec(true.rvec, true.tvec_mm).apply([-200.0, -150.0, 150.0])[0]
+    assert np.allclose((matrix @ corner)[:2] / corner[2], true.corners[0])
+    assert frame.truth == full.truth
+    assert not np.array_equal(frame.bgr, full.bgr)
+
+
+@pytest.mark.parametrize("keys", ["noise: -1", "frames: 0", "colour: red", "distortion: [0.1, 0.2]", "light: 2"])
 def test_a_wrong_key_is_named(opened: Open, keys: str) -> None:
     with pytest.raises(ConfigError) as caught:
         opened(keys)
