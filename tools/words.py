@@ -19,8 +19,10 @@ WORDS: dict[str, Words] = {
     # --- what is in view ---------------------------------------------------------------------------------------
     "no_object": Words("No object in view.", "Turn a side with a marker towards the camera."),
     "object_in_view": Words("An object is in view.", "Take it out of the picture for a background sample."),
-    "ambiguous_pose": Words("Two poses fit equally well.", "Show a second side or come nearer."),
-    "incomplete": Words("Part of the object is outside the picture.", "Step back or turn the camera."),
+    "ambiguous_pose": Words(
+        "Two poses fit equally well.", "Turn the object by 5 degrees, show a second marker, or come nearer."
+    ),
+    "incomplete": Words("An object in view has no pose.", "Hold still, show a marker, or take it out of the picture."),
     "bad_pose": Words("The markers don't fit together.", "Check marker sizes and offsets in the rig file."),
     "contradicts": Words("The markers contradict each other.", "Check which marker sits on which side."),
     "bad_fit": Words("The object's pose is not exact enough.", "Hold still, come nearer, or give more light."),

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from common.labels import DetectedWindow, LeftOut, ObjectLabel, Part, Quad
+from common.labels import DetectedWindow, LeftOut, Missing, ObjectLabel, Part, Quad
 from common.messages.base import Message
 from common.messages.frames import FrameRef
 
@@ -12,7 +12,7 @@ MARKERS = "markers"
 class DetectedMarker(Part):
     """A marker: id and corners TL TR BR BL in the marker's own frame, px, integer = pixel centre.
 
-    ``kind`` says how the corners were found: ``contour``, ``subpix``, ``apriltag``, ``photometric``.
+    ``kind`` says how the corners were found: ``contour``, ``subpix``, ``edges``, ``apriltag``, ``photometric``.
     """
 
     id: int
@@ -37,6 +37,7 @@ class Labels(Message):
     ref: FrameRef
     objects: tuple[ObjectLabel, ...]
     left_out: tuple[LeftOut, ...] = ()
+    missing: tuple[Missing, ...] = ()
     took_ns: int = 0
 
 

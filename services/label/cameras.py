@@ -19,7 +19,7 @@ _REMEMBERED = 16
 
 
 class Camera:
-    """One camera as label sees it."""
+    """One camera as label sees it. ``labelled_ns`` is the moment of the newest frame that was labelled."""
 
     def __init__(self, state: CameraState, slots: int) -> None:
         self.name = state.camera.name
@@ -28,6 +28,7 @@ class Camera:
         self.waiting: deque[Detections] = deque()
         self.recent: deque[Detections] = deque(maxlen=slots)
         self.newest = 0
+        self.labelled_ns = 0
         self.last_frame_ns = 0
         self._slots = slots
         self._reader: FrameReader | None = None
@@ -59,6 +60,14 @@ class Camera:
     def alive(self, ref: FrameRef) -> bool:
         """Whether the frame is still safely in the ring, as far as the newest announcement tells."""
         return self.newest - ref.frame < self._slots - _MARGIN
+
+    def moment(self, ref: FrameRef) -> int | None:
+        """When in its stream the frame was taken (ns); None where a frame says nothing about the next.
+
+        A video has its own time, however fast it is played. Pictures of a folder were not taken one after the other
+        at the rate at which they are read.
+        """
+        return ref.device_ns if self.state.driver == "files" else ref.captured_mono_ns
 
     @contextmanager
     def pixels(self, ref: FrameRef) -> Iterator[FrameView]:

@@ -20,12 +20,12 @@ import cv2
 from common.config import Rig, load_rig
 from common.frames import SampleSlots
 from common.geometry import CameraModel
-from common.labels import CameraLabel, Erased, LeftOut, ObjectLabel
+from common.labels import CameraLabel, Erased, LeftOut, Missing, ObjectLabel
 from common.log import get
 from common.messages import DetectedMarker
 from services.label.inpaint import erase, regions
-from services.label.labelling import Labeller
-from services.label.pose import Prior
+from services.label.labelling import Around, Labeller
+from services.label.occlusion import DepthPicture
 
 _NICE = 10
 _PR_SET_PDEATHSIG = 1
@@ -34,25 +34,27 @@ _RETRIES = 3
 
 @dataclass(frozen=True)
 class Job:
-    """A frame to finish; its pixels lie in ``slot`` of the sample ring ``ring``."""
+    """A frame to finish; its pixels lie in ``slot`` of the sample ring ``ring``, ``around`` it is what is known."""
 
     key: str
     ring: str
     slot: int
     camera: CameraLabel
     markers: tuple[DetectedMarker, ...]
-    previous: dict[str, Prior]
-    mono_ns: int
+    around: Around
+    depth_unit_mm: float | None = None
 
 
 @dataclass(frozen=True)
 class Finished:
-    """What became of a job: the exact labels, what was erased, and whether an ambiguous pose is to be kept."""
+    """What became of a job: the exact labels, what was erased, and what the rig says is to be kept nevertheless."""
 
     objects: tuple[ObjectLabel, ...]
     left_out: tuple[LeftOut, ...]
+    missing: tuple[Missing, ...]
     inpainted: Erased
     keep_ambiguous: bool
+    keep_incomplete: bool
 
 
 class Finisher:
@@ -161,10 +163,20 @@ def _finish(job: Job) -> Finished:
     assert _worker is not None
     options = _worker.rig.config.inpaint
     camera = CameraModel.from_label(job.camera)
-    bgr = _worker.slots(job.ring).view(job.slot).bgr
-    labelled = _worker.labeller.label_once(job.markers, camera, bgr, previous=job.previous)
+    pixels = _worker.slots(job.ring).view(job.slot)
+    bgr = pixels.bgr
+    depth = None
+    if pixels.depth is not None and job.depth_unit_mm is not None:
+        depth = DepthPicture(pixels.depth, job.depth_unit_mm)
+    labelled = _worker.labeller.label_once(job.markers, camera, bgr, job.around, depth)
     polygons = regions(labelled.objects, labelled.left_out, _worker.labeller.boxes, camera, margin=options.margin)
     erase(bgr, polygons, method=options.method, radius_px=options.radius_px)
     erased = Erased(method=options.method, margin=f"{options.margin:g} of the marker, at least 3 px", polygons=polygons)
-    keep = _worker.rig.config.pose.ambiguous == "keep"
-    return Finished(labelled.objects, labelled.left_out, erased, keep)
+    return Finished(
+        objects=labelled.objects,
+        left_out=labelled.left_out,
+        missing=labelled.missing,
+        inpainted=erased,
+        keep_ambiguous=_worker.rig.config.pose.ambiguous == "keep",
+        keep_incomplete=_worker.rig.config.record.incomplete == "keep",
+    )

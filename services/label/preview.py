@@ -17,6 +17,7 @@ from common.log import get
 from common.messages import Detections, FrameRef, Preview
 from services.label.cameras import Camera
 from services.label.finish import Finished, Finisher, Job
+from services.label.labelling import Around
 
 LEASE_NS = 5_000_000_000
 _SLOTS = 3
@@ -57,7 +58,7 @@ class Previews:
             self._drop(camera)
         return False
 
-    def begin(self, camera: Camera, detections: Detections, finisher: Finisher) -> None:
+    def begin(self, camera: Camera, detections: Detections, around: Around, finisher: Finisher) -> None:
         """Start on a preview of this frame, unless the one before is still being made."""
         ref = detections.ref
         try:
@@ -74,7 +75,7 @@ class Previews:
         except FrameLostError:
             self._free(camera.name)
             return
-        finisher.submit(Job(_JOB + camera.name, show.work.name, slot, camera.state.camera, detections.markers, {}, 0))
+        finisher.submit(Job(_JOB + camera.name, show.work.name, slot, camera.state.camera, detections.markers, around))
 
     def finished(self, job: Job, result: Finished | None) -> bool:
         """Show a finished preview; False if the job was none."""

@@ -121,9 +121,9 @@ class Recorder:
     def _try(self, detections: Detections, labelled: Labelled, takers: list[Taker], begin: Begin) -> None:
         background = takers[0].background
         try:
-            if background and labelled.objects:
+            if background and (labelled.objects or labelled.missing):
                 raise RefusedError(explain("object_in_view"), code="object_in_view")
-            if not background and not labelled.objects:
+            if not background and not (labelled.objects or labelled.missing):
                 raise RefusedError(_no_object(labelled), code="no_object")
             name = begin(detections, takers)
         except FrameLostError:
@@ -138,7 +138,11 @@ class Recorder:
                 taker.taken(detections.ref)
 
     def _not_worth(self, taker: Taker, labelled: Labelled) -> str | None:
-        if isinstance(taker, Request) or taker.spec.mode != "auto" or not labelled.objects:
+        if isinstance(taker, Request) or taker.spec.mode != "auto":
+            return None
+        if labelled.missing:
+            return "incomplete"
+        if not labelled.objects:
             return None
         return self._views[taker].judge(labelled.objects)
 

@@ -13,7 +13,9 @@ NOT_DUE = "not_due"
 NOT_ASKED = "not_asked"
 _REASONS = {
     "no_object": "no configured object is in view; turn a side with a marker towards the camera",
-    "ambiguous_pose": "two poses fit equally well; turn the object by 5 degrees, show a second side or come nearer",
+    "ambiguous_pose": "two poses fit equally well; turn the object by 5 degrees (a marker that faces the camera "
+    "squarely is the worst case), show a second marker or come nearer",
+    "incomplete": "an object in view has no pose; hold still or show one of its markers",
     "object_in_view": "a background sample was asked for, but an object is in view; take it out of the picture",
     "frame_gone": "that frame is no longer in the ring; ask for a newer one or leave `frame` out",
     "frame_lost": "the frame was overwritten before it could be kept; the machine is too slow for this rate",

@@ -20,8 +20,10 @@ from common.labels import CameraLabel, DepthLabel, Label, ObjectLabel, SourceDet
 from common.messages import Answer, Detections, FrameRef, StoreOrder
 from services.label.cameras import Camera
 from services.label.finish import Finished, Finisher, Job
-from services.label.pose import Prior
+from services.label.held import Held, LookAround, Wait
+from services.label.labelling import Around
 from services.label.requests import Recording, Request, explain
+from services.label.verdict import verdict
 
 Taker = Request | Recording
 Others = Callable[[FrameRef], tuple[SourceDetections, ...]]
@@ -65,6 +67,7 @@ class Samples:
         self._keep_original = keep_original
         self._rings: dict[str, SampleRing] = {}
         self._rings_made = 0
+        self._held = Held()
         self.under_way: dict[str, Sample] = {}
 
     def room(self, camera: str) -> bool:
@@ -76,11 +79,12 @@ class Samples:
         self,
         camera: Camera,
         detections: Detections,
-        previous: dict[str, Prior],
+        around: Around,
         takers: list[Taker],
         finisher: Finisher,
+        wait: Wait | None = None,
     ) -> Sample:
-        """Copy the frame into a slot and give it to a worker.
+        """Copy the frame into a slot and give it to a worker, or have it ``wait`` for the frames after it.
 
         Raises FrameLostError if the frame was overwritten meanwhile, and RefusedError: ``backlog_full``
         without a free slot, ``no_space`` if shared memory has no room for a sample ring.
@@ -93,8 +97,22 @@ class Samples:
         state = camera.state
         sample = Sample(name, ref, ring, slot, takers, state.camera, state.depth_unit_mm)
         self.under_way[name] = sample
-        finisher.submit(Job(name, ring.name, slot, state.camera, detections.markers, previous, ref.captured_mono_ns))
+        job = Job(name, ring.name, slot, state.camera, detections.markers, around, state.depth_unit_mm)
+        if wait is None:
+            finisher.submit(job)
+        else:
+            self._held.add(job, wait)
         return sample
+
+    @property
+    def waiting(self) -> bool:
+        """Whether samples wait for the frames after them."""
+        return len(self._held) > 0
+
+    def go_on(self, look: LookAround, newest: Callable[[str], int], finisher: Finisher, *, all_: bool = False) -> None:
+        """Give waiting samples whose objects were seen again (or ``all_``) to a worker."""
+        for job in self._held.due(look, newest, clock.monotonic_ns(), all_=all_):
+            finisher.submit(job)
 
     def _keep_pixels(self, camera: Camera, ref: FrameRef) -> tuple[SampleRing, int]:
         held: tuple[SampleRing, int] | None = None
@@ -152,9 +170,12 @@ class Samples:
             sample = self.under_way.get(job.key)
             if sample is None:
                 continue
-            reason = "failed" if result is None else self._verdict(sample, result)
-            if result is None or reason is not None:
-                yield self._end(sample, reason, None)
+            if result is None:
+                yield self._end(sample, "failed", None)
+                continue
+            refusal = verdict(result, background=sample.takers[0].background)
+            if refusal is not None:
+                yield self._end(sample, refusal.code, refusal.message)
                 continue
             sample.objects = result.objects
             order = StoreOrder(
@@ -169,17 +190,6 @@ class Samples:
                 store.send(order)
             except RefusedError as error:
                 yield self._end(sample, error.code, error.message)
-
-    @staticmethod
-    def _verdict(sample: Sample, result: Finished) -> str | None:
-        """Why the exact labels forbid the sample, None if they are good."""
-        if sample.takers[0].background:
-            return "object_in_view" if result.objects else None
-        if not result.objects:
-            return "no_object"
-        if any(item.quality.ambiguous for item in result.objects) and not result.keep_ambiguous:
-            return "ambiguous_pose"
-        return None
 
     def answered(self, answer: Answer) -> Outcome | None:
         """The store's answer to a sample's order; None if the answer is to something else."""
@@ -221,5 +231,7 @@ def _label(sample: Sample, result: Finished, session: str, others: tuple[SourceD
         left_out=result.left_out,
         detections=others,
         inpainted=result.inpainted,
+        complete=not result.missing,
+        missing=result.missing,
         versions={"tagmill": VERSION, "opencv": str(cv2.__version__)},
     )

@@ -9,6 +9,7 @@ from __future__ import annotations
 
 import os
 import time
+from functools import partial
 
 from common import clock
 from common.bus import OrderClient, OrderServer, Poller, Publisher, Return, Subscriber
@@ -42,6 +43,7 @@ from services.label.recorder import Recorder
 from services.label.requests import explain
 from services.label.roster import Roster
 from services.label.samples import Samples, Taker
+from services.label.streams import Streams
 
 _ORDERS = (RecordOrder, StartOrder, StopOrder, PreviewOrder, ReloadOrder)
 _STATES_EVERY_NS = 1_000_000_000
@@ -67,12 +69,13 @@ class LabelService:
         self._held_since: dict[str, int] = {}
         self._states_due_ns = 0
         self._phases: dict[tuple[str, str], str] = {}
+        self._draining = False
         self._delay_s = float(os.environ.get("TAGMILL_LABEL_DELAY_MS", "0")) / 1000
 
     def open(self) -> None:
         """Bind the order socket, start the workers, ask the store which recordings run."""
         context, endpoints = self._context, self._context.endpoints
-        self._labeller = Labeller.of(self._rig)
+        self._streams = Streams(Labeller.of(self._rig), self._roster, self._log)
         self._finisher = Finisher(self._rig.path)
         self._finisher.warm_up()
         self._samples = Samples(
@@ -103,7 +106,7 @@ class LabelService:
 
     def step(self, timeout_s: float) -> None:
         """One round: orders, news, at most one frame a camera, outcomes, deadlines."""
-        busy = self._finisher.busy or any(camera.waiting for camera in self._roster)
+        busy = self._finisher.busy or self._samples.waiting or any(camera.waiting for camera in self._roster)
         self._poller.wait(min(timeout_s, _BUSY_WAIT_S) if busy else timeout_s)
         for return_, order in self._orders.receive():
             self._returns[order.key] = return_
@@ -112,6 +115,7 @@ class LabelService:
             self._hear(received.message)
         for camera in self._roster:
             self._next_frame(camera)
+        self._streams.go_on(self._samples, self._finisher, all_=self._draining)
         self._collect()
         self._recorder.tick(self._roster.states())
         for ledger in self._recorder.ledger_orders():
@@ -120,6 +124,7 @@ class LabelService:
 
     def drain(self) -> bool:
         """Take nothing new; finish what is under way."""
+        self._draining = True
         self._recorder.finish_all("the stack was stopped")
         self.step(0.05)
         return self._recorder.settled and not self._samples.under_way and set(self._store.pending) <= {self._query_key}
@@ -180,14 +185,15 @@ class LabelService:
             return
         past = next((item for item in camera.recent if item.ref.frame == order.frame), None)
         if past is not None:
-            self._recorder.frame(past, self._label(camera, past), self._begin)
+            labelled = self._streams.label_past(camera, past)
+            self._recorder.frame(past, labelled, partial(self._begin, labelled))
         elif order.frame <= camera.newest:
             request.refused("frame_gone")
 
     def _reload(self, key: str) -> None:
         """Take over the rig file, which control has checked."""
         self._rig = load_rig(self._rig.path)
-        self._labeller = Labeller.of(self._rig)
+        self._streams.replace(Labeller.of(self._rig))
         self._finisher.reload()
         self._reply(Answer(key=key))
         self._log.info("rig.reloaded", objects=len(self._rig.boxes))
@@ -248,27 +254,31 @@ class LabelService:
         began = clock.monotonic_ns()
         if self._delay_s:
             time.sleep(self._delay_s)  # a slow labelling, asked for by a load test
-        labelled = self._label(camera, detections)
+        labelled = self._streams.label(camera, detections)
         now = clock.monotonic_ns()
-        labels = Labels(ref=detections.ref, objects=labelled.objects, left_out=labelled.left_out, took_ns=now - began)
+        labels = Labels(
+            ref=detections.ref,
+            objects=labelled.objects,
+            left_out=labelled.left_out,
+            missing=labelled.missing,
+            took_ns=now - began,
+        )
         self._publisher.publish(LABELS, (camera.name,), labels)
-        self._recorder.frame(detections, labelled, self._begin)
+        self._recorder.frame(detections, labelled, partial(self._begin, labelled))
         self._labelled.mark()
         self._latency.add(now - detections.ref.captured_mono_ns)
         if self._previews.watched(camera.name):
-            self._previews.begin(camera, detections, self._finisher)
+            self._previews.begin(camera, detections, self._streams.around(camera, detections), self._finisher)
 
-    def _label(self, camera: Camera, detections: Detections) -> Labelled:
-        return self._labeller.label(detections.markers, camera.model, camera.name, detections.ref.captured_mono_ns)
-
-    def _begin(self, detections: Detections, takers: list[Taker]) -> str:
+    def _begin(self, labelled: Labelled, detections: Detections, takers: list[Taker]) -> str:
         if not self._store.available:
             raise RefusedError(explain("store_down"), code="store_down")
         camera = self._roster.get(detections.ref.camera)
         if camera is None:
             raise FrameLostError(f"{detections.ref.camera} is no longer served here")
-        previous = self._labeller.previous(camera.name, detections.ref.captured_mono_ns)
-        return self._samples.begin(camera, detections, previous, takers, self._finisher).name
+        around = self._streams.around(camera, detections)
+        wait = None if self._draining else self._streams.wait(camera, detections, around, labelled, takers)
+        return self._samples.begin(camera, detections, around, takers, self._finisher, wait).name
 
     def _collect(self) -> None:
         """What the workers have finished goes to the store; what the store answers goes to who asked."""

@@ -151,13 +151,13 @@ def test_label_once_takes_what_is_known_from_outside_and_keeps_nothing():
     (zero,), (copy,) = seen(0, pose=POSE), seen(0, pose=looking_at(-20, 10, 1300, (-350, 60)))
     service, worker = labeller(), labeller()
     service.label([zero], CAMERA, "cam0", 0)
-    previous = service.previous("cam0", FRAME_NS)
-    assert set(previous) == {"box-1"}
-    assert len(worker.label_once([copy, zero], CAMERA, previous=previous).objects) == 1
+    around = service.around("cam0", FRAME_NS)
+    assert set(around.previous) == {"box-1"}
+    assert len(worker.label_once([copy, zero], CAMERA, around=around).objects) == 1
     assert worker.label_once([copy, zero], CAMERA).objects == ()
-    assert worker.previous("cam0", FRAME_NS) == {}
+    assert worker.around("cam0", FRAME_NS).previous == {}
     service.forget("cam0")
-    assert service.previous("cam0", FRAME_NS) == {}
+    assert service.around("cam0", FRAME_NS).previous == {}
 
 
 def test_with_the_picture_corners_are_refined():

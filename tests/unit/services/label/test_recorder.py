@@ -31,7 +31,7 @@ def detections(count: int, mono_ns: int | None = None) -> Detections:
 
 
 def seen(*, objects: int) -> Any:
-    return SimpleNamespace(objects=("box",) * objects, left_out=())
+    return SimpleNamespace(objects=("box",) * objects, left_out=(), missing=())
 
 
 class Bench:

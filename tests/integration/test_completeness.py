@@ -1,0 +1,158 @@
+"""The real stack with a detector that overlooks what it is told to: waiting samples, interpolation, `incomplete`."""
+
+from __future__ import annotations
+
+import threading
+from collections.abc import Iterator
+from pathlib import Path
+from typing import Any
+
+import pytest
+
+from common.bus import CommandClient, Endpoints, Poller, Publisher, Subscriber
+from common.config.models import NetworkConfig
+from common.dataset import SessionReader
+from common.messages import DetectedMarker, Detections, FrameAnnounced, FrameRef, Truth
+from common.topics import DETECTIONS, FRAME, TRUTH
+from tests.support.stack import Stack, wait_for
+
+pytestmark = pytest.mark.process
+
+RIG = """\
+dataset: {root: ./dataset, session: complete}
+objects:
+  - name: box-1
+    size_mm: {width: 400, height: 300, depth: 300}
+    sides:
+      front: {marker: 0, marker_size_mm: 150, border_mm: 15}
+      left:  {marker: 1, marker_size_mm: 150, border_mm: 15}
+      right: {marker: 2, marker_size_mm: 150, border_mm: 15}
+      back:  {marker: 3, marker_size_mm: 150, border_mm: 15}
+      top:   {marker: 4, marker_size_mm: 150, border_mm: 15}
+  - name: box-2
+    size_mm: {width: 400, height: 300, depth: 300}
+    sides:
+      front: {marker: 10, marker_size_mm: 150, border_mm: 15}
+      left:  {marker: 11, marker_size_mm: 150, border_mm: 15}
+      right: {marker: 12, marker_size_mm: 150, border_mm: 15}
+      back:  {marker: 13, marker_size_mm: 150, border_mm: 15}
+      top:   {marker: 14, marker_size_mm: 150, border_mm: 15}
+cameras:
+  cam0: {driver: synthetic, width: 640, height: 360, fps: 10, markers: false}
+pose: {ambiguous: keep}
+ring: {slots: 8, samples: 16}
+"""
+
+
+class Overlooking:
+    """Plays detect from the renderer's truth; nothing of box-1 in every fourth frame, or in none while ``hidden``.
+
+    The pictures show no markers, so nothing but time tells where an overlooked box is.
+    """
+
+    def __init__(self) -> None:
+        self.hidden = threading.Event()
+        self._over = threading.Event()
+        self._thread = threading.Thread(target=self._work)
+        self._thread.start()
+
+    def _work(self) -> None:
+        publisher = Publisher(endpoints := Endpoints.of(NetworkConfig()), "detect.0", "b00t")
+        subscriber = Subscriber(endpoints)
+        subscriber.subscribe(FRAME)
+        subscriber.subscribe(TRUTH)
+        poller = Poller(subscriber)
+        refs: dict[int, FrameRef] = {}
+        truths: dict[int, Truth] = {}
+        while not self._over.is_set():
+            poller.wait(0.1)
+            for received in subscriber.receive():
+                match received.message:
+                    case FrameAnnounced(ref=ref):
+                        refs[ref.frame] = ref
+                    case Truth() as truth:
+                        truths[truth.frame] = truth
+            for frame in sorted(refs.keys() & truths.keys()):
+                self._tell(publisher, refs.pop(frame), truths.pop(frame))
+        publisher.close()
+        subscriber.close()
+
+    def _tell(self, publisher: Publisher, ref: FrameRef, truth: Truth) -> None:
+        overlooked = self.hidden.is_set() or ref.frame % 4 == 0
+        markers = tuple(
+            DetectedMarker(id=marker.id, corners=marker.corners, kind="subpix")
+            for item in truth.objects
+            if not (overlooked and item.name == "box-1")
+            for marker in item.markers
+            if marker.visible
+        )
+        publisher.publish(DETECTIONS, (ref.camera, "markers"), Detections(ref=ref, markers=markers))
+
+    def close(self) -> None:
+        self._over.set()
+        self._thread.join(5)
+
+
+@pytest.fixture
+def running(stack: Stack, tmp_path: Path) -> Iterator[tuple[CommandClient, Overlooking]]:
+    rig = tmp_path / "rig.yaml"
+    rig.write_text(RIG)
+    for service in ("control", "store", "label"):
+        stack.start_service(service, rig)
+    stack.start_service("capture", rig, "--camera", "cam0")
+    detector = Overlooking()
+    with CommandClient(stack.endpoints, timeout_s=20) as client:
+        try:
+
+            def ready() -> bool:
+                status = client.request({"command": "status"})
+                return "cam0" in status["cameras"] and all(name.startswith("detect") for name in status["missing"])
+
+            wait_for(ready, 60, "all services but detect")
+            wait_for(lambda: client.request({"command": "record", "camera": "cam0"})["ok"], 60, "a first sample")
+            yield client, detector
+        finally:
+            detector.close()
+
+
+def test_an_overlooked_box_is_interpolated_or_refused_by_name(
+    running: tuple[CommandClient, Overlooking], stack: Stack, tmp_path: Path
+) -> None:
+    client, detector = running
+    account, recording = record(client, 12)
+    assert account["recorded"] == 12
+    assert "incomplete" not in account["refused"]
+    session = SessionReader(tmp_path / "dataset" / "complete")
+    labels = [session.label(name) for name in session.samples()]
+    assert all(label.complete and not label.missing for label in labels)
+    for label in (item for item in labels if item.recording == recording):
+        box = next(item for item in label.objects if item.name == "box-1")
+        assert box.pose_source == ("interpolated" if label.frame % 4 == 0 else "measured")
+        assert box.quality.uncertainty is not None
+        erased = {polygon.marker for polygon in label.inpainted.polygons}
+        assert erased & set(range(5)), "the markers of an interpolated box are erased"
+
+    detector.hidden.set()
+    account, _ = record(client, 2)  # for a second the box must still be there; then it is taken for gone
+    assert account["recorded"] == 2
+    assert account["refused"]["incomplete"] >= 3
+    refused = next(process for process in stack.processes if process.name == "services.label").events("sample.refused")
+    assert {event["reason"] for event in refused} == {"incomplete"}
+    assert all("box-1 was seen" in event["message"] for event in refused)
+
+
+def record(client: CommandClient, count: int) -> tuple[dict[str, Any], str]:
+    """`start` until so many samples are durable: the camera's settled account, and the recording's id."""
+    started = client.request({"command": "start", "camera": "cam0", "until_count": count})
+    assert started["ok"], started
+
+    def ended() -> bool:
+        known = client.request({"command": "status"})["recordings"].get(started["recording"], {})
+        return known.get("phase") == "ended"
+
+    wait_for(ended, 60, "the recording to end")
+    answer = client.request({"command": "ledger", "recording": started["recording"]})
+    account: dict[str, Any] = answer["ledger"]["cameras"]["cam0"]
+    settled = account["recorded"] + sum(account["refused"].values()) + sum(account["dropped"].values())
+    assert account["captured"] == settled
+    return account, started["recording"]
