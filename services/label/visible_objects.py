@@ -18,7 +18,7 @@ from common.messages import DetectedMarker
 
 Array = NDArray[np.float64]
 
-CORNER_NOISE_PX = {"photometric": 0.05, "apriltag": 0.1, "subpix": 0.3, "contour": 0.7}
+CORNER_NOISE_PX = {"photometric": 0.05, "edges": 0.1, "apriltag": 0.1, "subpix": 0.3, "contour": 0.7}
 """Standard deviation of a corner (px, one axis) by how it was found, as measured on rendered
 markers; a fit that turns out worse than this counts as noisier (``services.label.pose``)."""
 SAME_PLACE = 0.25

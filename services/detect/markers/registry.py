@@ -11,7 +11,7 @@ from common.markers import family as open_family
 from services.detect.markers.base import MarkerDetector
 
 DETECTORS: dict[str, str] = {
-    "auto": "services.detect.markers.opencv:OpenCvDetector",
+    "auto": "services.detect.markers.auto:AutoDetector",
     "opencv": "services.detect.markers.opencv:OpenCvDetector",
     "apriltag": "services.detect.markers.apriltag:AprilTagDetector",
     "locus": "services.detect.markers.locus:LocusDetector",

@@ -26,9 +26,9 @@ PHOTOS = {
     "ubiquity/tag_01_d7_14cm.png": (1, 1),
     "ubiquity/tag_245-246_d7_14cm.png": (2, 2),
     "ubiquity/403.jpg": (1, 1),
-    "nasa_swarmathon/33369213973_9d9bb4cc96_c.jpg": (9, 10),
-    "nasa_swarmathon/34085369442_304b6bafd9_c.jpg": (19, 22),
-    "nasa_swarmathon/34139872896_defdb2f8d9_c.jpg": (9, 9),
+    "nasa_swarmathon/33369213973_9d9bb4cc96_c.jpg": (12, 12),
+    "nasa_swarmathon/34085369442_304b6bafd9_c.jpg": (25, 25),
+    "nasa_swarmathon/34139872896_defdb2f8d9_c.jpg": (10, 10),
     "duckietown/test_image.png": (5, 5),
     "duckietown/test_image_multiple_03.png": (6, 6),
     "duckietown/test_image_multiple_06.png": (6, 6),
@@ -40,8 +40,9 @@ PHOTOS = {
     "swat_hallway/IMG_0617.jpg": (1, 1),
     "apriltags_jl/tagtest.jpg": (3, 3),
 }
-CORNER_TOLERANCE_PX = {"opencv": 2.5, "ubiquity": 0.3, "nasa_swarmathon": 3.5}
-"""OpenCV's gold corners are whole pixels of contours; the nasa tags are 11-40 px small and blurred."""
+CORNER_TOLERANCE_PX = {"opencv": 2.5, "ubiquity": 1.5, "nasa_swarmathon": 3.5}
+"""OpenCV's gold corners are whole pixels of contours; ubiquity's markers are on paper that isn't flat, and their
+truth is cv2's sub-pixel search at each corner; the nasa tags are 11-40 px small and blurred."""
 
 
 def look(testdata: Find, file: str, *, thorough: bool) -> tuple[list[Any], list[dict[str, Any]]]:

@@ -13,6 +13,12 @@ from services.detect.markers.opencv import OpenCvDetector
 from tests.support.rendered_marker import drawing, looking_at, render
 
 HERE = Path()
+KINDS = {"auto": "edges", "opencv": "subpix"}
+
+
+@pytest.fixture(params=KINDS)
+def detector_name(request: pytest.FixtureRequest) -> str:
+    return str(request.param)
 
 
 def picture_of(name: str, marker: int, corners: np.ndarray, size: tuple[int, int] = (640, 480)) -> np.ndarray:
@@ -30,12 +36,14 @@ def picture_of(name: str, marker: int, corners: np.ndarray, size: tuple[int, int
 
 @pytest.mark.parametrize("thorough", [False, True], ids=["fast", "thorough"])
 @pytest.mark.parametrize("name", ["DICT_APRILTAG_36h11", "DICT_APRILTAG_16h5", "DICT_6X6_250", "DICT_4X4_50"])
-def test_corners_are_the_markers_own_in_order(name: str, thorough: bool) -> None:
+def test_corners_are_the_markers_own_in_order(detector_name: str, name: str, thorough: bool) -> None:
     corners = np.array([[300.3, 120.2], [420.7, 180.1], [360.2, 300.8], [240.4, 240.6]])
     for marker in (0, 7, 29):
-        (found,) = open_detector(name, HERE, thorough=thorough).detect(picture_of(name, marker, corners))
+        (found,) = open_detector(name, HERE, thorough=thorough, detector=detector_name).detect(
+            picture_of(name, marker, corners)
+        )
         assert found.id == marker
-        assert found.kind == "subpix"
+        assert found.kind == KINDS[detector_name]
         assert np.abs(np.array(found.corners) - corners).max() < 1.0
 
 
@@ -56,8 +64,8 @@ def mean_offset(detector: MarkerDetector, side: float) -> np.ndarray:
 
 
 @pytest.mark.parametrize("thorough", [False, True], ids=["fast", "thorough"])
-def test_half_a_pixel_is_not_lost(thorough: bool) -> None:
-    detector = open_detector("apriltag_36h11", HERE, thorough=thorough)
+def test_half_a_pixel_is_not_lost(detector_name: str, thorough: bool) -> None:
+    detector = open_detector("apriltag_36h11", HERE, thorough=thorough, detector=detector_name)
     assert np.abs(mean_offset(detector, 160)).max() < 0.01
 
 
@@ -67,12 +75,12 @@ def test_doubling_keeps_the_pixel_convention(monkeypatch: pytest.MonkeyPatch) ->
     monkeypatch.setattr(
         OpenCvDetector, "_search", lambda self, grey, scale: search(self, grey, scale) if scale == 2 else []
     )
-    assert np.abs(mean_offset(open_detector("apriltag_36h11", HERE, thorough=True), 96)).max() < 0.01
+    assert np.abs(mean_offset(open_detector("apriltag_36h11", HERE, thorough=True, detector="opencv"), 96)).max() < 0.01
 
 
-def test_rendered_views_are_found_with_the_right_order() -> None:
+def test_rendered_views_are_found_with_the_right_order(detector_name: str) -> None:
     rng = np.random.default_rng(6)
-    detector = open_detector("apriltag_36h11", HERE)
+    detector = open_detector("apriltag_36h11", HERE, detector=detector_name)
     for marker in range(0, 587, 60):
         seen = render(drawing("DICT_APRILTAG_36h11", marker), 50, looking_at(rng, 500), rng)
         (found,) = detector.detect(seen.grey)
@@ -80,35 +88,37 @@ def test_rendered_views_are_found_with_the_right_order() -> None:
         assert np.linalg.norm(np.array(found.corners) - seen.corners, axis=1).max() < 1.5
 
 
-def test_one_marker_is_reported_once_and_two_of_equal_id_twice() -> None:
+def test_one_marker_is_reported_once_and_two_of_equal_id_twice(detector_name: str) -> None:
     left = np.array([[100, 100], [180, 100], [180, 180], [100, 180]], dtype=float)
     for thorough in (False, True):
-        detector = open_detector("apriltag_36h11", HERE, thorough=thorough)
+        detector = open_detector("apriltag_36h11", HERE, thorough=thorough, detector=detector_name)
         one = picture_of("DICT_APRILTAG_36h11", 11, left)
         assert [m.id for m in detector.detect(one)] == [11]
         two = np.minimum(one, picture_of("DICT_APRILTAG_36h11", 11, left + np.array([110, 15])))
         assert [m.id for m in detector.detect(two)] == [11, 11]
 
 
-def test_the_picture_is_only_read() -> None:
+def test_the_picture_is_only_read(detector_name: str) -> None:
     grey = picture_of("DICT_6X6_250", 3, np.array([[100, 100], [180, 100], [180, 180], [100, 180]], dtype=float))
     grey.flags.writeable = False
     for thorough in (False, True):
-        assert [m.id for m in open_detector("6x6_250", HERE, thorough=thorough).detect(grey)] == [3]
+        assert [
+            m.id for m in open_detector("6x6_250", HERE, thorough=thorough, detector=detector_name).detect(grey)
+        ] == [3]
 
 
-def test_empty_noisy_and_tiny_pictures_have_no_markers() -> None:
+def test_empty_noisy_and_tiny_pictures_have_no_markers(detector_name: str) -> None:
     rng = np.random.default_rng(7)
     pictures = [np.zeros((480, 640), np.uint8), rng.integers(0, 256, (480, 640), dtype=np.uint8)]
     pictures += [np.full((h, w), 128, np.uint8) for h, w in ((1, 1), (3, 500), (16, 16), (17, 40))]
     for thorough in (False, True):
-        detector = open_detector("apriltag_36h11", HERE, thorough=thorough)
+        detector = open_detector("apriltag_36h11", HERE, thorough=thorough, detector=detector_name)
         assert all(detector.detect(picture) == [] for picture in pictures)
 
 
-def test_a_colour_picture_is_refused() -> None:
+def test_a_colour_picture_is_refused(detector_name: str) -> None:
     with pytest.raises(ValueError, match="grey picture"):
-        open_detector("apriltag_36h11", HERE).detect(np.zeros((48, 64, 3), np.uint8))
+        open_detector("apriltag_36h11", HERE, detector=detector_name).detect(np.zeros((48, 64, 3), np.uint8))
 
 
 def test_both_shapes_of_cv2s_answer_are_understood(monkeypatch: pytest.MonkeyPatch) -> None:

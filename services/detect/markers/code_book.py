@@ -1,0 +1,101 @@
+"""Which marker of a family do the grey levels of a grid of cells show?
+
+The levels are not turned into bits: their correlation with each marker's pattern, as it looks sharp and
+blurred by a share of a cell, is the evidence. Small and blurred markers keep it long after single bits are
+lost. How much correlation is enough follows from chance: with n free levels, Fisher's z = atanh(r) sqrt(n - 3)
+is a standard normal variable where there is no marker (R. A. Fisher, Metron 1921).
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from math import erf, sqrt, tanh
+from statistics import NormalDist
+
+import numpy as np
+from numpy.typing import NDArray
+
+from common.markers import Family
+
+Array = NDArray[np.float32]
+
+BY_CHANCE = 1e-6
+"""How often a quad of random levels may pass for any of the family's markers."""
+LEAST_SCORE = 0.85
+"""Neighbouring pixels of real pictures are alike, so their levels are less free than Fisher assumes."""
+LEAST_LEAD = 0.15
+"""Before the next pattern (another id or another turn); families of close patterns have half their clean lead."""
+BLURS = ((0.0, 0.0), (0.4, 0.4), (0.6, 0.6), (0.8, 0.8), (0.9, 0.2), (0.2, 0.9))
+"""Standard deviations along a row and a column, in cells: sharp, small or out of focus, moving."""
+SHORT_LIST = 6
+"""So many patterns, the best when taken as sharp, are compared in all blurs."""
+
+
+@dataclass(frozen=True)
+class Match:
+    """What K grids show: marker, quarter turns of the seen pattern, score; ``sure`` where that is beyond doubt."""
+
+    ids: NDArray[np.intp]
+    turns: NDArray[np.intp]
+    scores: Array
+    sure: NDArray[np.bool_]
+
+
+class CodeBook:
+    """The patterns of a family. Grids are (n, n) levels of the cells, black border not included."""
+
+    def __init__(self, family: Family) -> None:
+        patterns = np.array([np.rot90(_papered(family, one), turn) for one in range(family.ids) for turn in range(4)])
+        self._blurred = np.array([_normalised(_blur(patterns, *blur)) for blur in BLURS])
+        self._sharp = np.ascontiguousarray(self._blurred[0].T)
+        free = family.bits**2
+        rarity = NormalDist().inv_cdf(1 - BY_CHANCE / len(patterns))
+        self.least_score = max(LEAST_SCORE, tanh(rarity / sqrt(max(free - 3, 1))))
+        self.least_lead = min(LEAST_LEAD, family.distance / free)
+
+    def match(self, grids: Array) -> Match:
+        """The best pattern for each of the grids (K, n * n), of any gain and offset."""
+        if not len(grids):
+            none = np.empty(0, dtype=np.intp)
+            return Match(none, none, np.empty(0, dtype=np.float32), np.empty(0, dtype=np.bool_))
+        levels = _normalised(grids)
+        rough = levels @ self._sharp
+        length = min(SHORT_LIST, rough.shape[1])
+        listed = np.argpartition(rough, -length, axis=1)[:, -length:]
+        scores = np.einsum("bklc,kc->bkl", self._blurred[:, listed], levels).max(axis=0)
+        row = np.arange(len(levels))
+        first = scores.argmax(axis=1)
+        best = scores[row, first]
+        pattern = listed[row, first]
+        scores[row, first] = -1.0
+        sure = (best >= self.least_score) & (best - scores.max(axis=1) >= self.least_lead)
+        return Match(pattern // 4, pattern % 4, best, sure)
+
+
+def _papered(family: Family, marker: int) -> Array:
+    """A marker's cells with one cell of white paper around, as levels -1 and 1."""
+    paper = np.pad(family.bitmap(marker).astype(np.float32), 1, constant_values=1.0)
+    return 2 * paper - 1
+
+
+def _blur(patterns: Array, along_row: float, along_column: float) -> Array:
+    """Blurred patterns (P, n * n) without paper and border; blur in cells."""
+    size = patterns.shape[1]
+    seen = _kernel(size, along_column) @ patterns @ _kernel(size, along_row).T
+    return np.asarray(seen[:, 2:-2, 2:-2], dtype=np.float32).reshape(len(patterns), -1)
+
+
+def _kernel(size: int, sigma: float) -> Array:
+    """Row i: the shares (size,) that the cells have in the level at cell i's centre; the outermost cells go on."""
+    if not sigma:
+        return np.eye(size, dtype=np.float32)
+    edges = np.array([[erf((j - i) / sigma / sqrt(2)) / 2 for j in np.arange(size + 1) - 0.5] for i in range(size)])
+    edges[:, 0], edges[:, -1] = -0.5, 0.5
+    return np.diff(edges, axis=1).astype(np.float32)
+
+
+def _normalised(levels: Array) -> Array:
+    """Mean 0 and length 1 in each row; a row of equal levels becomes zeros."""
+    centred = levels - levels.mean(axis=1, keepdims=True)
+    length = np.linalg.norm(centred, axis=1, keepdims=True)
+    return np.asarray(centred / np.maximum(length, 1e-6), dtype=np.float32)
