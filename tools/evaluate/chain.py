@@ -61,7 +61,7 @@ class Shot:
 
 
 class Studio:
-    """The renderer's most exact pictures of some boxes, through a lens of ``BLUR_PX``."""
+    """The renderer's most exact pictures of some boxes: a lens of ``BLUR_PX`` before pixels that collect light."""
 
     def __init__(self, boxes: Sequence[Box], family: Family, camera: CameraModel, seed: int) -> None:
         frustum = (camera.width / 2 / float(camera.matrix[0, 0]), camera.height / 2 / float(camera.matrix[1, 1]))

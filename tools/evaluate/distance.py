@@ -43,7 +43,7 @@ _PAPER_COLUMNS = ("paper", "diff.")
 _JOINT_COLUMNS = ("distance of", *_COLUMNS[1:])
 _TARGET_COLUMNS = ("what", "mm", "at most", "reached")
 _SET_UP = (
-    "Rendered 1280x720, f 921.6 px, 50 mm marker, noise sigma 3, blur 0.6 px; our detector, refinement and pose. "
+    "Rendered 1280x720, f 921.6 px, 50 mm marker, lens blur 0.6 px, noise sigma 3; our detector, refinement and pose. "
     "Distances are those of the marker's own corners (the paper's equation 2); the place varies by half a pixel."
 )
 
@@ -144,7 +144,7 @@ def _cells(row: Spread, name: str | None = None) -> list[str]:
     if not row.found:
         return [*first, *["-"] * (len(_COLUMNS) - 2)]
     values = (f"{row.min:.2f}", f"{row.max:.2f}", f"{row.range:.2f}", f"{row.mean:.2f}", f"{row.sd:.3f}")
-    return [*first, *values, f"{row.mean_difference:+.2f}"]
+    return [*first, *values, f"{round(row.mean_difference, 2) + 0.0:+.2f}"]
 
 
 def _paper_rows(rows: Sequence[Spread]) -> list[list[str]]:

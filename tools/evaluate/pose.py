@@ -46,7 +46,7 @@ STEP = 37
 _COLUMNS = ("picture, marker", "found", "px", "p95", "IoU", "ambig.", "px sure", "IoU sure", "paper")
 _SET_UP = (
     "Rendered box of 400 x 300 x 300 mm at 0.8 to 1.2 m with one marker on each lateral side, so one or two are seen; "
-    "noise sigma 3, blur 0.6 px. Corners: distance of each of the box's eight projected corners from the truth. "
+    "lens blur 0.6 px, noise sigma 3. Corners: distance of each of the box's eight projected corners from the truth. "
     "IoU: of the unclipped detection window. px, p95 and IoU count the poses that one small marker leaves ambiguous, "
     "too; 'sure' are the others: what `pose.ambiguous: refuse`, the default, records."
 )
