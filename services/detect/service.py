@@ -16,6 +16,7 @@ from common.service.meters import Percentiles, Rate
 from common.topics import CAMERA, DETECTIONS, FRAME, SHARES
 from services.detect.cameras import Camera
 from services.detect.markers import MarkerDetector, open_detector
+from services.detect.tracking import Tracker
 
 
 class DetectService:
@@ -30,6 +31,7 @@ class DetectService:
         self._log = context.log
         self._config = context.rig.config
         self._cameras: dict[str, Camera] = {}
+        self._trackers: dict[str, tuple[str, Tracker]] = {}
         self._turn: list[str] = []
         self._shares: Shares | None = None
         self._rate = Rate()
@@ -164,7 +166,7 @@ class DetectService:
         grey = camera.grey(ref)
         if grey is None:
             return
-        detector = self._thorough if camera.paced else self._fast
+        detector = self._thorough if camera.paced else self._tracker(camera)
         markers = tuple(detector.detect(grey))
         now = clock.monotonic_ns()
         self._publish(
@@ -174,6 +176,14 @@ class DetectService:
         self._rate.mark()
         self._took_ns.add(now - began)
         self._latency_ns.add(now - ref.captured_mono_ns)
+
+    def _tracker(self, camera: Camera) -> Tracker:
+        """The camera's own; a new life of the camera begins anew."""
+        ring = camera.state.ring if camera.state is not None else ""
+        known = self._trackers.get(camera.name)
+        if known is None or known[0] != ring:
+            known = self._trackers[camera.name] = (ring, Tracker(self._fast))
+        return known[1]
 
     def _publish(self, camera: Camera, detections: Detections) -> None:
         assert self._publisher is not None

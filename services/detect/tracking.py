@@ -1,0 +1,99 @@
+"""Follow known markers from frame to frame instead of searching each picture.
+
+Pure state machine around a detector: a full search, then looks at where the known markers must be, predicted with
+constant velocity. A marker that isn't there brings a full search in the same frame; a marker that enters
+the picture is found by the next full search, at most ``SEARCH_EVERY`` frames later.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from typing import Protocol, runtime_checkable
+
+import numpy as np
+from numpy.typing import NDArray
+
+from common.messages import DetectedMarker
+from services.detect.markers.base import Grey, MarkerDetector
+from services.detect.markers.quads import as_quad, merged
+
+Array = NDArray[np.float64]
+
+SEARCH_EVERY = 5
+"""Of so many frames at least one is searched whole."""
+SAME_MARKER_SIDES = 1.5
+"""How far, in sides, a marker may move between frames and still give its velocity to the next prediction."""
+
+
+@runtime_checkable
+class Follower(Protocol):
+    """A detector that can look for expected markers without a search."""
+
+    def follow(self, grey: Grey, expected: Sequence[DetectedMarker]) -> list[DetectedMarker | None]:
+        """Each expected marker where it is now, or None where it isn't close to where it was expected."""
+        ...
+
+
+@dataclass(frozen=True)
+class _Track:
+    """A known marker; ``velocity`` (4, 2) px a frame of its corners."""
+
+    seen: DetectedMarker
+    velocity: Array
+
+    def expected(self) -> DetectedMarker:
+        corners = np.array(self.seen.corners) + self.velocity
+        return DetectedMarker(id=self.seen.id, corners=as_quad(corners), kind=self.seen.kind)
+
+
+class Tracker:
+    """The markers of one camera's frames, in their order. ``searches`` counts full searches.
+
+    With a detector that can't follow, each frame is searched whole.
+    """
+
+    def __init__(self, detector: MarkerDetector) -> None:
+        self._detector = detector
+        self._follower = detector if isinstance(detector, Follower) else None
+        self.searches = 0
+        self.reset()
+
+    def reset(self) -> None:
+        """Forget everything: the next frame is searched whole."""
+        self._tracks: list[_Track] = []
+        self._since_search = SEARCH_EVERY
+        self._shape: tuple[int, ...] = ()
+
+    def detect(self, grey: Grey) -> list[DetectedMarker]:
+        """The markers in the next frame (H, W) uint8; a changed size begins anew."""
+        if grey.shape != self._shape:
+            self.reset()
+            self._shape = grey.shape
+        found = self._followed(grey)
+        if found is None:
+            found = self._detector.detect(grey)
+            self.searches += 1
+            self._since_search = 0
+        self._tracks = [_Track(one, self._velocity(one)) for one in found]
+        return found
+
+    def _followed(self, grey: Grey) -> list[DetectedMarker] | None:
+        """The known markers in this frame; None where it has to be searched."""
+        self._since_search += 1
+        if self._follower is None or not self._tracks or self._since_search >= SEARCH_EVERY:
+            return None
+        expected = [track.expected() for track in self._tracks]
+        found = [one for one in self._follower.follow(grey, expected) if one is not None]
+        # Two of equal id must not end on one marker.
+        apart = merged([(one.id, np.array(one.corners)) for one in found])
+        return found if len(apart) == len(expected) else None
+
+    def _velocity(self, marker: DetectedMarker) -> Array:
+        """How the marker's corners moved since the last frame; 0 for one that wasn't known."""
+        corners = np.array(marker.corners)
+        side = float(np.linalg.norm(corners - np.roll(corners, 1, axis=0), axis=1).mean())
+        before = [np.array(track.seen.corners) for track in self._tracks if track.seen.id == marker.id]
+        moved = [corners - known for known in before]
+        nearest = min(moved, key=lambda one: float(np.abs(one).max()), default=np.zeros((4, 2)))
+        return nearest if np.abs(nearest).max() < SAME_MARKER_SIDES * side else np.zeros((4, 2))
