@@ -186,7 +186,7 @@ def _report(rows: Sequence[Exactness], seed: int) -> Page:
     page.table(_COLUMNS, [row.cells() for row in rows])
     sizes = Axis("marker, mm", {mm: f"{mm:g}" for mm in MARKERS_MM})
     by_camera = [(f"{w}x{h}", [row for row in rows if row.width == w]) for w, h, _ in CAMERAS]
-    corner, window = Axis("error of a corner, px", zero=True), Axis("IoU of the window")
+    corner, window = Axis("error of a corner, px", log=True), Axis("IoU of the window")
     mean = [Series(f"{name}: mean, to p95", MARKERS_MM, *_span(of_it)) for name, of_it in by_camera]
     overlap = [
         Series(

@@ -1,4 +1,4 @@
-"""Plots as SVG, written by hand: series of points with ranges over two linear axes. One for all tools."""
+"""Plots as SVG, written by hand: series of points with ranges over two axes. One for all tools."""
 
 from __future__ import annotations
 
@@ -14,6 +14,8 @@ COLOURS = ("#0b66c3", "#c2410c", "#3f7d20", "#7a3ea8", "#a1740a")
 _MARKS = ("circle", "square", "diamond")
 _LEFT, _RIGHT, _TOP, _BOTTOM = 64.0, 18.0, 40.0, 52.0
 _LEGEND_ROW = 20.0
+_FEW_DECADES = 2.0
+"""On a logarithmic axis of less than this, 2 and 5 are ticks, too."""
 _FONT = "font-family='system-ui, sans-serif'"
 
 
@@ -35,11 +37,15 @@ class Series:
 
 @dataclass(frozen=True)
 class Axis:
-    """``label`` with its unit; ``ticks`` (value to text) for an axis of names; ``zero``: 0 must be on it."""
+    """``label`` with its unit; ``ticks`` (value to text) for an axis of names; ``zero``: 0 must be on it.
+
+    ``log``: powers of ten are equally far apart; values that are not positive are left out.
+    """
 
     label: str
     ticks: Mapping[float, str] = field(default_factory=dict)
     zero: bool = False
+    log: bool = False
 
 
 def plot(title: str, x: Axis, y: Axis, series: Sequence[Series], *, width: int = 720, height: int = 380) -> str:
@@ -69,13 +75,33 @@ def plot(title: str, x: Axis, y: Axis, series: Sequence[Series], *, width: int =
 
 @dataclass(frozen=True)
 class _Scale:
+    """``low`` and ``high`` are logarithms on a logarithmic axis."""
+
     low: float
     high: float
     start: float
     end: float
+    log: bool
 
     def at(self, value: float) -> float:
-        return self.start + (value - self.low) / (self.high - self.low) * (self.end - self.start)
+        return self.start + (_along(value, log=self.log) - self.low) / (self.high - self.low) * (self.end - self.start)
+
+    def shows(self, value: float) -> bool:
+        return bool(np.isfinite(_along(value, log=self.log)))
+
+    def ticks(self, about: int) -> list[float]:
+        if not self.log:
+            return ticks(self.low, self.high, about)
+        factors = (1, 2, 5) if self.high - self.low < _FEW_DECADES else (1,)
+        decades = range(int(np.floor(self.low)), int(np.ceil(self.high)) + 1)
+        values = [factor * 10.0**decade for decade in decades for factor in factors]
+        return [value for value in values if self.low <= np.log10(value) <= self.high]
+
+
+def _along(value: float, *, log: bool) -> float:
+    if not log:
+        return value
+    return float(np.log10(value)) if value > 0 else float("nan")
 
 
 @dataclass(frozen=True)
@@ -89,12 +115,13 @@ def _extent(series: Series) -> list[float]:
 
 
 def _scale(axis: Axis, values: Sequence[float], start: float, end: float, *, margin: float) -> _Scale:
-    finite = [value for value in values if np.isfinite(value)] + list(axis.ticks) + ([0.0] if axis.zero else [])
-    if not any(np.isfinite(value) for value in values):
+    along = [_along(value, log=axis.log) for value in values]
+    if not any(np.isfinite(value) for value in along):
         raise ValueError(f"nothing finite to plot along '{axis.label}'")
+    finite = [value for value in along if np.isfinite(value)] + list(axis.ticks) + ([0.0] if axis.zero else [])
     low, high = min(finite), max(finite)
     room = (high - low) * margin or max(abs(high), 1.0) * margin
-    return _Scale(0.0 if axis.zero and low == 0.0 else low - room, high + room, start, end)
+    return _Scale(0.0 if axis.zero and low == 0.0 else low - room, high + room, start, end, axis.log)
 
 
 def ticks(low: float, high: float, about: int = 6) -> list[float]:
@@ -109,12 +136,12 @@ def ticks(low: float, high: float, about: int = 6) -> list[float]:
 def _axes(canvas: _Canvas, x: Axis, y: Axis, width: int, height: int, top: float) -> list[str]:
     bottom, right = height - _BOTTOM, width - _RIGHT
     parts = []
-    for value in ticks(canvas.y.low, canvas.y.high):
+    for value in canvas.y.ticks(6):
         at = canvas.y.at(value)
         colour = MUTED if value == 0 else GRID
         parts.append(f"<line x1='{_LEFT}' x2='{right}' y1='{at:.1f}' y2='{at:.1f}' stroke='{colour}'/>")
         parts.append(_text(_LEFT - 8, at + 4, f"{value:g}", anchor="end"))
-    named = dict(x.ticks) or {value: f"{value:g}" for value in ticks(canvas.x.low, canvas.x.high, 9)}
+    named = dict(x.ticks) or {value: f"{value:g}" for value in canvas.x.ticks(9)}
     for value, text in named.items():
         at = canvas.x.at(value)
         parts.append(f"<line x1='{at:.1f}' x2='{at:.1f}' y1='{bottom}' y2='{bottom + 5}' stroke='{MUTED}'/>")
@@ -131,7 +158,9 @@ def _axes(canvas: _Canvas, x: Axis, y: Axis, width: int, height: int, top: float
 
 def _drawn(series: Series, colour: str, mark: str, canvas: _Canvas) -> list[str]:
     points = [
-        (canvas.x.at(x), canvas.y.at(y)) for x, y in zip(series.x, series.y, strict=True) if np.isfinite((x, y)).all()
+        (canvas.x.at(x), canvas.y.at(y))
+        for x, y in zip(series.x, series.y, strict=True)
+        if canvas.x.shows(x) and canvas.y.shows(y)
     ]
     parts = _range(series, colour, canvas)
     if series.line and len(points) > 1:
@@ -146,7 +175,7 @@ def _range(series: Series, colour: str, canvas: _Canvas) -> list[str]:
     spans = [
         (canvas.x.at(x), canvas.y.at(low), canvas.y.at(high))
         for x, low, high in zip(series.x, series.low, series.high, strict=True)
-        if np.isfinite((x, low, high)).all()
+        if canvas.x.shows(x) and canvas.y.shows(low) and canvas.y.shows(high)
     ]
     if series.band:
         outline = [(x, high) for x, _, high in spans] + [(x, low) for x, low, _ in reversed(spans)]

@@ -36,6 +36,21 @@ def test_points_agree_with_the_ticks():
     assert levels == [pytest.approx(circles[1][1] + 4, abs=0.11)]
 
 
+def test_a_logarithmic_axis_has_decades_equally_far_apart():
+    root = drawn(Series("one", [0, 1, 2, 3], [0.1, 10.0, 1000.0, 0.0]), y=Axis("y, px", log=True))
+    y = [float(c.get("cy")) for c in root.iter(SVG + "circle")]
+    assert len(y) == 3  # 0 has no place on it
+    assert y[0] - y[1] == pytest.approx(y[1] - y[2], abs=0.11)
+    texts = [text.text for text in root.iter(SVG + "text")]
+    assert [text for text in texts if text in {"0.1", "1", "10", "100", "1000"}][:5] == [
+        "0.1",
+        "1",
+        "10",
+        "100",
+        "1000",
+    ]
+
+
 def test_values_that_are_not_finite_are_left_out():
     nan = float("nan")
     root = drawn(Series("one", [0, 1, 2], [1.0, nan, 3.0], [0.5, nan, 2.0], [1.5, nan, 4.0]))
