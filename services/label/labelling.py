@@ -251,8 +251,10 @@ def _undetected(visible: VisibleObject, pose: Pose | None, camera: CameraModel) 
 
 
 def _should_be_seen(box: Box, side: BoxSide, marker: MarkerOnSide, pose: Pose, camera: CameraModel) -> bool:
+    if not faces_camera(pose, box, side, marker):
+        return False
     pixels, _ = camera.project(pose.apply(box.marker_corners(side, marker)))
-    return faces_camera(pose, box, side, marker) and bool(camera.contains(pixels).any())
+    return bool(camera.contains(pixels).any())
 
 
 def _contradicting(marker: SeenMarker, box: Box, pose: Pose, camera: CameraModel) -> LeftOut:

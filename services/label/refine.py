@@ -34,7 +34,7 @@ FIRST_SIGMA_PX = 1.4
 """Wide at first, so that corners that are off by two pixels still feel their edge."""
 SETTLED_PX = 0.15
 """Once the corners move less than this, blur and tone are fitted too."""
-DONE_PX = 0.01
+DONE_PX = 0.02
 LARGEST_STEP_PX = 1.5
 MIN_CELL_PX = 1.4
 MIN_CONTRAST = 12.0
@@ -46,6 +46,8 @@ MIN_SEEN = 0.7
 """The share of the sample points that must lie inside the picture."""
 ACROSS_PX = np.arange(-3.0, 3.5)
 """Distances from an edge at which pixels are taken."""
+COARSE_PIXELS = 200
+"""Until the corners have settled roughly, so many pixels do."""
 MAX_ALONG = 3
 """At how many places along an edge of one cell, at most."""
 MIN_PIXELS = 60
@@ -62,8 +64,8 @@ class Refined:
     """Corners TL TR BR BL (px) with their kind.
 
     ``shift_px`` is the furthest that a corner moved, ``residual`` the rms of picture minus model as a share of
-    the contrast. Where not ``converged``, corners and kind are the coarse ones. ``covariance`` (8, 8) px^2 of the
-    corners' x y x y ..., from the residual and the fit's information; None where not converged.
+    the contrast. Where not ``converged``, corners and kind are the coarse ones, and there is no ``covariance``:
+    (8, 8) px^2 of the corners' x y x y ..., from the residual and the fit's information.
     """
 
     corners: Quad
@@ -154,6 +156,7 @@ class _Fit:
         self._light = np.array([low, 0.0, 0.0, high - low, 0.0, 0.0])
         self._sigma = FIRST_SIGMA_PX
         self._tone = 0.0
+        self._coarsely = min(max(len(grey) // COARSE_PIXELS, 1), 4)
         self.residual = float("inf")
         self._normal = np.eye(16)
         self._variance = float("inf")
@@ -192,14 +195,12 @@ class _Fit:
 
     @property
     def contrast(self) -> float:
-        """White minus black in the marker's middle, grey levels."""
+        """White minus black in the middle, grey levels."""
         return float(self._light[3])
 
     def covariance(self) -> Array:
-        """Covariance (8, 8) px^2 of the corners x y x y ... at the last step, for noise as the residual has it.
-
-        A corner lies where G maps it to the square's, so its move is the one that makes up for a change of G.
-        """
+        """Covariance (8, 8) px^2 of the corners x y x y ... at the last step, for noise as the residual has it."""
+        # A corner lies where G maps it to the square's, so its move is the one that makes up for a change of G.
         g, corners = self._g, (self.corners - self._centre) / self._scale
         by_g = np.zeros((8, 8))
         for i, ((x, y), (u, v)) in enumerate(zip(corners, self._square, strict=True)):
@@ -207,8 +208,7 @@ class _Fit:
             change = np.array([[x, y, 1, 0, 0, 0, -u * x, -u * y], [0, 0, 0, x, y, 1, -v * x, -v * y]])
             by_g[2 * i : 2 * i + 2] = np.linalg.solve(slope, -change)
         of_g = np.linalg.inv(self._normal)[:8, :8] * self._variance
-        white = by_g @ of_g @ by_g.T * self._scale**2
-        return np.asarray(white * CORRELATED**2 + np.eye(8) * FLOOR_PX**2)
+        return np.asarray(by_g @ of_g @ by_g.T * (self._scale * CORRELATED) ** 2 + np.eye(8) * FLOOR_PX**2)
 
     def run(self) -> bool:
         """Iterate; whether the corners settled."""
@@ -227,7 +227,7 @@ class _Fit:
 
     def _step(self, everything: bool) -> bool:
         """One Gauss-Newton step; False where the problem has no usable solution."""
-        jacobian, residual = self._linearised()
+        jacobian, residual = self._linearised(1 if everything else self._coarsely)
         if not everything:
             jacobian = jacobian[:, :14]
         # Cauchy weights: dirt, glare or a finger over a part of the marker shall not pull its corners.
@@ -240,7 +240,7 @@ class _Fit:
         if everything:
             normal[15, 15] += (spread / TONE_SPREAD) ** 2
             right[15] -= (spread / TONE_SPREAD) ** 2 * self._tone
-            self._normal = normal.copy()
+            self._normal = normal
         normal[np.diag_indices_from(normal)] *= 1.0 + 1e-6
         try:
             step = np.asarray(np.linalg.solve(normal, right), dtype=np.float64)
@@ -269,9 +269,9 @@ class _Fit:
         to_pixels = np.asarray(np.linalg.inv(g), dtype=np.float64)
         return np.asarray(_apply(to_pixels, self._square) * self._scale + self._centre)
 
-    def _linearised(self) -> tuple[Array, Array]:
-        """Jacobian (N, 16) of the model and the residual (N,) picture minus model, in grey levels."""
-        x, y = self._where.T
+    def _linearised(self, every: int) -> tuple[Array, Array]:
+        """Of one in ``every`` pixels: Jacobian (N, 16) of the model, residual (N,) picture minus model, grey levels."""
+        x, y = self._where[::every].T
         g = self._g
         w = g[2, 0] * x + g[2, 1] * y + 1.0
         u = (g[0, 0] * x + g[0, 1] * y + g[0, 2]) / w
@@ -295,6 +295,6 @@ class _Fit:
         columns = (by_u * x, by_u * y, by_u, by_v * x, by_v * y, by_v, by_w * x, by_w * y)
         light = (np.ones_like(p), across, down, toned, toned * across, toned * down)
         jacobian = np.column_stack([*columns, *light, by_pattern * pattern.by_log_blur, contrast * hump])
-        residual = self._grey - black - contrast * toned
+        residual = self._grey[::every] - black - contrast * toned
         self.residual = float(np.sqrt(np.mean(residual**2))) / max(abs(self._light[3]), 1e-9)
         return jacobian, residual
