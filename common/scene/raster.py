@@ -15,10 +15,11 @@ from numpy.typing import NDArray
 from common.scene.coverage import REACH_PX, inner_share
 from common.scene.rays import PixelRays, Plane, Region
 from common.scene.seen import Seen, slopes_at
-from common.scene.texture import Pattern, Texture
+from common.scene.texture import PAD, Pattern, Texture
 
 Array = NDArray[np.float64]
 Picture = NDArray[np.uint8]
+_ONE, _HALF, _FARTHEST = np.float32(1.0), np.float32(0.5), np.float32(65535.0)
 BLACK, WHITE = 22.0, 236.0
 """Printer's black and paper white under full light, as grey values: neither clips under noise."""
 
@@ -56,11 +57,11 @@ def draw_texture(
         return
     width, height = seen.shape.width_mm, seen.shape.height_mm
     picture = texture.level((seen.footprint[0] * patch.pixel, seen.footprint[1] * patch.pixel))
-    rows, columns = picture.shape[:2]
-    to_texels = np.array([[columns / width, 0, columns / 2 - 0.5], [0, -rows / height, rows / 2 - 0.5]])
+    rows, columns = picture.shape[0] - 2 * PAD, picture.shape[1] - 2 * PAD
+    to_texels = np.array([[columns / width, 0, columns / 2 - 0.5 + PAD], [0, -rows / height, rows / 2 - 0.5 + PAD]])
     inverse_z = rays.form(seen.inverse[2], region)
     along_x, along_y = _plane_coordinates(rays, to_texels @ seen.inverse, inverse_z, region)
-    painted = cv2.remap(picture, along_x, along_y, cv2.INTER_LINEAR, borderMode=cv2.BORDER_REPLICATE)
+    painted = cv2.remap(picture, along_x, along_y, cv2.INTER_LINEAR, borderMode=cv2.BORDER_CONSTANT)
     _lay(patch, rays, seen, region, np.asarray(painted, dtype=np.uint8), inverse_z, shade, under)
 
 
@@ -103,7 +104,9 @@ def _lay(
     lit = np.asarray(cv2.multiply(painted, patch.light[region.slices], scale=shade / 255.0), dtype=np.uint8)
     target = patch.bgr[region.inside(patch.region)]
     if patch.depth is not None:
-        depth = cv2.divide(1.0, inverse_z, dtype=cv2.CV_16U)
+        with np.errstate(divide="ignore", invalid="ignore"):  # outside of the rectangle, where nothing is copied
+            depth = np.clip(_ONE / inverse_z, 0.0, _FARTHEST)
+            depth = (depth + _HALF).astype(np.uint16)
         cv2.copyTo(depth, (reached >= 0.0).view(np.uint8), patch.depth[region.inside(patch.region)])
     if under:
         for edge in under:
@@ -112,11 +115,8 @@ def _lay(
     # Nearly all pixels are covered entirely or not at all.
     reach = REACH_PX * patch.pixel
     cv2.copyTo(lit, (reached >= reach).view(np.uint8), target)
-    cut: NDArray[np.int32] | None = cv2.findNonZero(cv2.inRange(reached, -reach, reach))  # type: ignore[assignment]
-    if cut is None:
-        return
-    columns, rows = cut.reshape(-1, 2).T
-    flat = rows * reached.shape[1] + columns
+    flat = np.flatnonzero((reached > -reach) & (reached < reach))
+    rows, columns = np.divmod(flat, reached.shape[1])
     from_edges = np.stack([distance.ravel().take(flat) for distance in distances])
     across, down = seen.normals[from_edges.argmin(axis=0)].astype(np.float32).T
     share = inner_share(from_edges.min(axis=0) / np.float32(patch.pixel), across, down)[:, None]

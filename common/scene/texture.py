@@ -11,6 +11,7 @@ from numpy.typing import NDArray
 from common.scene.coverage import inner_share
 
 Picture = NDArray[np.uint8]
+PAD = 8
 Values = NDArray[np.float32]
 Array = NDArray[np.float64]
 
@@ -25,11 +26,16 @@ class Texture:
     def __init__(self, picture: Picture, width_mm: float, height_mm: float) -> None:
         self.width_mm = width_mm
         self.height_mm = height_mm
-        self._levels: dict[tuple[int, int], Picture] = {(0, 0): np.ascontiguousarray(picture)}
+        self._full = picture
+        self._levels: dict[tuple[int, int], Picture] = {}
 
     def level(self, mm_per_pixel: tuple[float, float]) -> Picture:
-        """The copy whose texels are about as large as the given pixels' footprint (mm along x, along y)."""
-        full = self._levels[0, 0]
+        """The copy whose texels are about as large as the given pixels' footprint (mm along x, along y).
+
+        Its edges are repeated ``PAD`` texels outwards: pixels on the plane's edge need what is just outside, and
+        cv2.remap is twice as slow if it has to make that up itself.
+        """
+        full = self._full
         texel = (self.width_mm / full.shape[1], self.height_mm / full.shape[0])
         wanted = (
             _halvings(mm_per_pixel[0] / texel[0], full.shape[1]),
@@ -37,7 +43,9 @@ class Texture:
         )
         if wanted not in self._levels:
             size = (max(full.shape[1] >> wanted[0], 1), max(full.shape[0] >> wanted[1], 1))
-            self._levels[wanted] = np.asarray(cv2.resize(full, size, interpolation=cv2.INTER_AREA), dtype=np.uint8)
+            small = cv2.resize(full, size, interpolation=cv2.INTER_AREA)
+            padded = cv2.copyMakeBorder(small, PAD, PAD, PAD, PAD, cv2.BORDER_REPLICATE)
+            self._levels[wanted] = np.asarray(padded, dtype=np.uint8)
         return self._levels[wanted]
 
 
