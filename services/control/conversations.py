@@ -27,10 +27,14 @@ MAX_WAITING = 4096
 
 @dataclass(frozen=True, slots=True)
 class Errand:
-    """An order and whom it is for: ``store`` or ``label.N``."""
+    """An order and whom it is for: ``store`` or ``label.N``.
+
+    A ``lasting`` one takes something back: it goes to a silent peer too, and is not forgotten when its time is up.
+    """
 
     peer: str
     order: Order
+    lasting: bool = False
 
 
 @dataclass(frozen=True, slots=True)
@@ -48,8 +52,8 @@ Talk = Generator[Batch, Answers, Plain]
 class Messenger(Protocol):
     """Whoever carries orders (`Peers`)."""
 
-    def send(self, peer: str, order: Order) -> None:
-        """Send, or raise RefusedError."""
+    def send(self, peer: str, order: Order, *, lasting: bool = False) -> None:
+        """Send, or raise RefusedError; a ``lasting`` order as soon as that is possible."""
 
     def forget(self, peer: str, key: str) -> None:
         """No answer to this order is wanted any more."""
@@ -159,7 +163,7 @@ class Conversations(Generic[Client]):
         for errand in waiting.batch.errands:
             key = errand.order.key
             try:
-                self._messenger.send(errand.peer, errand.order)
+                self._messenger.send(errand.peer, errand.order, lasting=errand.lasting)
             except RefusedError as error:
                 waiting.answers[key] = Answer(key=key, error=ErrorInfo(code=error.code, message=error.message))
             else:
@@ -174,9 +178,12 @@ class Conversations(Generic[Client]):
         self._resume(waiting, self._collected(waiting))
 
     def _clear(self, waiting: _Waiting[Client]) -> None:
-        """Forget the orders that have no answer, so that none is carried out long after its client was told."""
+        """Forget the orders that have no answer, so that none is carried out long after its client was told.
+
+        Lasting ones stay with the messenger; their answers come late.
+        """
         for errand in waiting.batch.errands:
-            if self._by_key.pop(errand.order.key, None) is not None:
+            if self._by_key.pop(errand.order.key, None) is not None and not errand.lasting:
                 self._messenger.forget(errand.peer, errand.order.key)
 
     @staticmethod

@@ -37,17 +37,19 @@ class Peers:
         if client is not None:
             client.peer_seen(state.boot)
 
-    def send(self, peer: str, order: Order) -> None:
-        """Send at once; raises RefusedError ``label_down`` or ``store_down`` if the peer isn't there."""
+    def send(self, peer: str, order: Order, *, lasting: bool = False) -> None:
+        """Send at once; raises RefusedError ``label_down`` or ``store_down``, and sends nothing, if the peer is silent.
+
+        A ``lasting`` order is taken whatever the peer does: it goes once the peer can be reached.
+        """
         client = self._clients[peer]
-        client.send(order)
-        # An order that waits for its peer to come back would be carried out when nobody expects it any more.
-        if not client.available:
-            client.forget(order.key)
+        # Asked first: a peer that hangs would carry the order out when it goes on and nobody expects it any more.
+        if not (lasting or client.available):
             kind = peer.partition(".")[0]
             raise RefusedError(
                 f"{peer} is not there; its supervisor restarts it, so try again in a few seconds", code=f"{kind}_down"
             )
+        client.send(order)
 
     def forget(self, peer: str, key: str) -> None:
         """No answer to this order is wanted any more."""

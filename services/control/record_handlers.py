@@ -114,10 +114,10 @@ class RecordHandlers:
         if not failed:
             self._begun(spec)
             return {"recording": spec.recording, "cameras": list(cameras), "missing": list(missing)}
-        # One that did not answer may have begun all the same.
+        # One that did not answer may have begun all the same, or begin when it goes on; `label_down` was never sent.
         begun = [camera for camera in cameras if camera not in failed or failed[camera].code == "timeout"]
         if begun:
-            yield Batch(tuple(self._stop_errand(spec.recording, camera) for camera in begun), START_S)
+            yield Batch(tuple(self._stop_errand(spec.recording, camera, lasting=True) for camera in begun), START_S)
         code, message = _summary(command.camera, failed)
         return refusal(code, f"{message}; no recording was begun", cameras=_plain_errors(failed))
 
@@ -179,9 +179,9 @@ class RecordHandlers:
             ledger = Ledger(spec=spec, phase="running", cameras={camera: CameraLedger()})
             self._stack.told(ledger, camera, self._stack.label_of(camera), clock.monotonic_ns())
 
-    def _stop_errand(self, recording: str, camera: str) -> Errand:
+    def _stop_errand(self, recording: str, camera: str, *, lasting: bool = False) -> Errand:
         order = StopOrder(key=self._keys.new("stop"), recording=recording, camera=camera)
-        return Errand(self._stack.label_of(camera), order)
+        return Errand(self._stack.label_of(camera), order, lasting)
 
     def _complete(self, recording: str, told: Ledger | None, *, live: bool = True) -> Generator[Batch, Answers, Ledger]:
         """A ledger with all its cameras: where the label processes haven't told all, the store's account too.

@@ -218,7 +218,17 @@ def test_a_stopped_label_process_is_never_silence(up: Up) -> None:
     up.label.send_signal(signal.SIGCONT)
     up.wait_for_status(lambda status: "label.0" not in status["missing"], "label.0 to be back")
     assert up.ask("record", camera="cam0")["ok"] is True
-    assert up.orders("record")[-1]["camera"] == "cam0"
+    assert [order["camera"] for order in up.orders("record")] == ["cam0"], "nothing of what was refused"
+
+
+def test_a_start_that_is_not_answered_is_taken_back_when_the_label_process_goes_on(up: Up) -> None:
+    up.wait_for_status(lambda status: status["settled"], "control to know the stack")
+    up.label.send_signal(signal.SIGSTOP)
+    assert up.refused("start", camera="cam0")[0] == "timeout"
+    up.label.send_signal(signal.SIGCONT)
+    wait_for(lambda: up.orders("stop"), why="the order that takes the start back")
+    (begun,) = up.orders("start")
+    assert up.orders("stop")[0]["recording"] == begun["spec"]["recording"]
 
 
 def test_a_recording_runs_from_start_to_its_ledger(up: Up) -> None:

@@ -20,8 +20,8 @@ class Post:
         self.forgotten: list[tuple[str, str]] = []
         self.away: set[str] = set()
 
-    def send(self, peer: str, order: Order) -> None:
-        if peer in self.away:
+    def send(self, peer: str, order: Order, *, lasting: bool = False) -> None:
+        if peer in self.away and not lasting:
             raise RefusedError(f"{peer} is away", code=f"{peer}_down")
         self.sent.append((peer, order.key))
 
@@ -167,3 +167,18 @@ def test_going_down_answers_everybody_once(room: Room, now: list[int]) -> None:
     room.all.arrived(Answer(key="a"))
     assert {name: room.code(name) for name in "ab"} == {"a": "stopping", "b": "stopping"}
     assert len(room.post.forgotten) == 2
+
+
+def test_an_order_that_takes_something_back_goes_to_a_silent_peer_and_is_not_forgotten(
+    room: Room, now: list[int]
+) -> None:
+    room.post.away = {"label.0"}
+    back = Errand("label.0", LedgerQuery(key="back"), lasting=True)
+    room.all.begin("client", asks(Batch((errand("order", "label.0"), back), 1.0)))
+    assert room.post.sent == [("label.0", "back")]
+    now[0] = 2_000_000_000
+    room.all.tick()
+    assert room.answers["client"] == [{"ok": True, "told": ["label.0_down", "timeout"]}]
+    assert room.post.forgotten == []
+    room.all.arrived(Answer(key="back"))
+    assert room.all.late == 1
