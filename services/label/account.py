@@ -42,6 +42,7 @@ class Account:
             jump = ref.count - self._last
         elif self._boot:
             jump = ref.count
+            self._first_of_pass = None
         else:
             jump = 1
             self._first_of_pass = ref.count
@@ -62,7 +63,7 @@ class Account:
         """The camera is at its end: frames before the first and after the last that was seen are accounted for."""
         if state.boot != self._boot and self._boot:
             return
-        if state.played_for == recording:
+        if state.played_for == recording and (self._first_of_pass is not None or not self._boot):
             first = self._first_of_pass if self._first_of_pass is not None else state.captured + 1
             before = max(first - state.play_first, 0)
             self.captured += before
@@ -72,6 +73,12 @@ class Account:
             self.captured += after
             self._drop("detect", after)
             self._last = state.captured
+
+    def close(self) -> None:
+        """No further frame comes: what a restart of label left open, and no frame has settled since, was lost then."""
+        if self._resumed:
+            self._resumed = False
+            self._drop("label_restart", self._unaccounted())
 
     def reached(self, state: CameraState) -> bool:
         """Whether the camera's last frame has been accounted for."""

@@ -16,6 +16,8 @@ from common.messages import MARKERS, CameraState, Detections, FrameRef
 _MARGIN = 3
 """Slots of the ring that are about to be overwritten count as gone."""
 _REMEMBERED = 16
+HOLD_NS = 4_000_000_000
+"""A paced camera gives up waiting for a label after 5 s."""
 
 
 class Camera:
@@ -32,6 +34,7 @@ class Camera:
         self.last_frame_ns = 0
         self._slots = slots
         self._reader: FrameReader | None = None
+        self._held_since_ns: int | None = None
         self._others: OrderedDict[tuple[str, int], dict[str, SourceDetections]] = OrderedDict()
 
     def update(self, state: CameraState) -> None:
@@ -80,6 +83,19 @@ class Camera:
                 raise FrameLostError(f"the ring {ref.ring} of {self.name} is gone") from error
         with self._reader.view(ref.frame) as view:
             yield view
+
+    def hold(self, wish: bool) -> bool:
+        """Whether its next frame is held back: as long as that is wished, but a single frame never for too long."""
+        now = clock.monotonic_ns()
+        if not wish:
+            self._held_since_ns = None
+            return False
+        if self._held_since_ns is None:
+            self._held_since_ns = now
+        if now - self._held_since_ns < HOLD_NS:
+            return True
+        self._held_since_ns = None
+        return False
 
     def close(self) -> None:
         """Unmap the ring."""

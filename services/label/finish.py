@@ -13,11 +13,10 @@ from concurrent.futures import Future, ProcessPoolExecutor
 from concurrent.futures.process import BrokenProcessPool
 from dataclasses import dataclass
 from multiprocessing import get_context
-from pathlib import Path
 
 import cv2
 
-from common.config import Rig, load_rig
+from common.config import Rig
 from common.frames import SampleSlots
 from common.geometry import CameraModel
 from common.labels import CameraLabel, Erased, LeftOut, Missing, ObjectLabel
@@ -58,10 +57,13 @@ class Finished:
 
 
 class Finisher:
-    """A pool of worker processes; one that dies is replaced and its jobs are done again."""
+    """A pool of worker processes; one that dies is replaced and its jobs are done again.
 
-    def __init__(self, rig_path: Path, workers: int = 1) -> None:
-        self._rig_path = rig_path
+    The workers get the rig by value: one that is replaced must not read a file that was edited meanwhile.
+    """
+
+    def __init__(self, rig: Rig, workers: int = 1) -> None:
+        self._rig = rig
         self._workers = workers
         self._running: dict[str, tuple[Job, Future[Finished], int]] = {}
         self._pool = self._new_pool()
@@ -69,7 +71,7 @@ class Finisher:
 
     def _new_pool(self) -> ProcessPoolExecutor:
         return ProcessPoolExecutor(
-            self._workers, get_context("spawn"), initializer=_prepare, initargs=(self._rig_path, os.getpid())
+            self._workers, get_context("spawn"), initializer=_prepare, initargs=(self._rig, os.getpid())
         )
 
     def warm_up(self) -> None:
@@ -117,10 +119,12 @@ class Finisher:
             self._pool.shutdown(wait=False, cancel_futures=True)
             self._pool = self._new_pool()
 
-    def reload(self) -> None:
-        """Read the rig file again; jobs under way end with the old one."""
-        self._pool.shutdown(wait=True)
+    def reload(self, rig: Rig) -> None:
+        """Take over another rig; jobs under way end with the old one."""
+        self._rig = rig
+        self._pool.shutdown(wait=False)
         self._pool = self._new_pool()
+        self.warm_up()
 
     def close(self) -> None:
         """End the workers; jobs that have not begun are dropped."""
@@ -146,17 +150,16 @@ class _Worker:
 _worker: _Worker | None = None
 
 
-def _prepare(rig_path: Path, parent: int) -> None:
-    """Make this process a worker: low priority, one thread, gone with its parent, deaf to Ctrl-C."""
+def _prepare(rig: Rig, parent: int) -> None:
+    """Make this process a worker: low priority, one thread, gone with its parent, deaf to its group's signals."""
     global _worker
     ctypes.CDLL(None, use_errno=True).prctl(_PR_SET_PDEATHSIG, signal.SIGKILL)
     if os.getppid() != parent:
         os._exit(1)
-    signal.signal(signal.SIGINT, signal.SIG_IGN)
-    signal.signal(signal.SIGTERM, signal.SIG_IGN)
+    os.setpgid(0, 0)
     os.nice(_NICE)
     cv2.setNumThreads(1)
-    _worker = _Worker(load_rig(rig_path))
+    _worker = _Worker(rig)
 
 
 def _finish(job: Job) -> Finished:

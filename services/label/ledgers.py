@@ -8,8 +8,11 @@ from dataclasses import dataclass
 from common import clock
 from common.labels import CameraLedger
 from common.log import get
-from common.messages import Answer, LedgerOrder
+from common.messages import Answer, ErrorInfo, LedgerOrder
 from services.label.requests import Recording, Request
+
+_AGAIN_NS = 1_000_000_000
+"""After a refusal the store is told again no sooner than this."""
 
 
 @dataclass(eq=False)
@@ -19,22 +22,35 @@ class _Told:
     account: CameraLedger
     order_key: str | None
     closing: bool
+    again_ns: int = 0
+
+
+@dataclass(frozen=True)
+class Closing:
+    """The store's answer to a recording's last account; with an ``error`` it will be told again."""
+
+    recording: Recording
+    error: ErrorInfo | None
 
 
 class Ledgers:
-    """What the store knows of the recordings of this process."""
+    """What the store knows of the recordings of this process; ``boot`` keeps order keys of two lives apart."""
 
-    def __init__(self) -> None:
+    def __init__(self, boot: str = "") -> None:
+        self._boot = boot
         self._told: dict[int, tuple[Recording, _Told]] = {}
         self._orders = 0
 
     def due(self, recordings: Iterable[Recording]) -> Iterator[LedgerOrder]:
         """Orders for accounts that changed since the store was told; the last one of a recording closes it."""
+        now = clock.monotonic_ns()
         for item in recordings:
             told = self._told[id(item)][1] if id(item) in self._told else None
-            if item.phase == "ended" or (told is not None and told.order_key is not None):
+            if item.phase == "ended" or (told is not None and (told.order_key is not None or now < told.again_ns)):
                 continue
             closing = item.phase == "finishing" and not item.account.pending
+            if closing:
+                item.account.close()
             account = item.account.ledger()
             if not closing and told is not None and told.account == account:
                 continue
@@ -55,21 +71,23 @@ class Ledgers:
             why="answered",
         )
 
-    def answered(self, answer: Answer) -> Recording | None:
-        """The store's answer; returns the recording that it closes, if it does."""
+    def answered(self, answer: Answer) -> Closing | None:
+        """The store's answer; returns what it means for a recording that was to be closed by it."""
         for item, told in self._told.values():
             if told.order_key != answer.key:
                 continue
             told.order_key = None
             if answer.error is not None:
                 get().warning("ledger.refused", recording=item.recording, reason=answer.error.message)
-            if told.closing:
-                del self._told[id(item)]
-                item.phase = "ended"
-                return item
-            return None
+                told.again_ns = clock.monotonic_ns() + _AGAIN_NS
+                return Closing(item, answer.error) if told.closing else None
+            if not told.closing:
+                return None
+            del self._told[id(item)]
+            item.phase = "ended"
+            return Closing(item, None)
         return None
 
     def _key(self, recording: str, camera: str) -> str:
         self._orders += 1
-        return f"ledger/{recording}/{camera}/{self._orders}"
+        return f"ledger/{recording}/{camera}/{self._boot}/{self._orders}"

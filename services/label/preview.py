@@ -61,6 +61,9 @@ class Previews:
     def begin(self, camera: Camera, detections: Detections, around: Around, finisher: Finisher) -> None:
         """Start on a preview of this frame, unless the one before is still being made."""
         ref = detections.ref
+        known = self._shows.get(camera.name)
+        if known is not None and known.busy is not None:
+            return
         try:
             with camera.pixels(ref) as view:
                 height, width = view.bgr.shape[:2]

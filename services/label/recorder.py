@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections import OrderedDict
 from collections.abc import Callable, Iterator
 
 from common import clock
@@ -12,6 +13,7 @@ from common.messages import (
     Answer,
     CameraState,
     Detections,
+    ErrorInfo,
     LedgerOrder,
     RecordingState,
     RecordOrder,
@@ -26,6 +28,7 @@ from services.label.samples import Outcome, Taker
 
 _END_GRACE_NS = 2_000_000_000
 _REMEMBER_ENDED_NS = 10_000_000_000
+_ANSWERS_KEPT = 1000
 
 Begin = Callable[[Detections, list[Taker]], str]
 """Starts a sample and returns its name; raises FrameLostError or RefusedError."""
@@ -34,9 +37,10 @@ Begin = Callable[[Detections, list[Taker]], str]
 class Recorder:
     """All requests and recordings of the cameras of one label process."""
 
-    def __init__(self, reply: Callable[[Answer], None]) -> None:
+    def __init__(self, reply: Callable[[Answer], None], boot: str = "") -> None:
         self._reply = reply
-        self._ledgers = Ledgers()
+        self._ledgers = Ledgers(boot)
+        self._answered: OrderedDict[str, Answer] = OrderedDict()
         self._views: dict[Recording, Views] = {}
         self._stops: dict[Recording, list[str]] = {}
         self._ended_ns: dict[Recording, int] = {}
@@ -45,8 +49,14 @@ class Recorder:
 
     # --- orders ---------------------------------------------------------------------------------------
 
-    def record(self, order: RecordOrder) -> Request:
-        """Take on a single request; its answer comes when all its samples are durable, or at its deadline."""
+    def record(self, order: RecordOrder) -> Request | None:
+        """Take on a single request; its answer comes when all its samples are durable, or at its deadline.
+
+        An order that was answered already (its answer was lost, or crossed a repeat) gets the same answer again.
+        """
+        if order.key in self._answered:
+            self._reply(self._answered[order.key])
+            return None
         known = next((item for item in self.requests if item.order.key == order.key), None)
         if known is None:
             known = Request.of(order)
@@ -60,7 +70,8 @@ class Recorder:
             return
         recording = Recording(order.spec, order.camera, Account(resumed))
         self.recordings[key] = recording
-        self._views[recording] = Views()
+        if order.spec.mode == "auto":
+            self._views[recording] = Views()
         get().info("recording.started", recording=key[0], camera=key[1], resumed=resumed is not None)
 
     def stop(self, recording: str, camera: str, order_key: str) -> bool:
@@ -113,6 +124,15 @@ class Recorder:
                 wanting.append(taker)
             elif counted:
                 taker.account.refuse(why)
+        self._begin_for(wanting, detections, labelled, begin)
+
+    def past_frame(self, request: Request, detections: Detections, labelled: Labelled, begin: Begin) -> None:
+        """A request asked for just this frame, which was labelled before; nobody else sees it again."""
+        if request.wants(detections.ref) is None:
+            request.account.looked_at(detections.source, counted=request.account.arrived(detections.ref))
+            self._begin_for([request], detections, labelled, begin)
+
+    def _begin_for(self, wanting: list[Taker], detections: Detections, labelled: Labelled, begin: Begin) -> None:
         for background in (False, True):
             group = [taker for taker in wanting if taker.background is background]
             if group:
@@ -136,9 +156,11 @@ class Recorder:
             for taker in takers:
                 taker.account.ordered(name)
                 taker.taken(detections.ref)
+                if isinstance(taker, Recording) and taker in self._views:
+                    self._views[taker].take(name, labelled.objects)
 
     def _not_worth(self, taker: Taker, labelled: Labelled) -> str | None:
-        if isinstance(taker, Request) or taker.spec.mode != "auto":
+        if isinstance(taker, Request) or taker not in self._views:
             return None
         if labelled.missing:
             return "incomplete"
@@ -152,10 +174,10 @@ class Recorder:
         for taker in outcome.sample.takers:
             if reason is None:
                 taker.stored(name)
-                if isinstance(taker, Recording) and taker in self._views:
-                    self._views[taker].take(outcome.sample.objects)
             else:
                 taker.failed(name, reason, outcome.message)
+                if isinstance(taker, Recording) and taker in self._views:
+                    self._views[taker].forget(name)
         if reason is not None:
             get().info("sample.refused", sample=name, reason=reason, message=outcome.message)
 
@@ -166,7 +188,7 @@ class Recorder:
         now = clock.monotonic_ns()
         for request in self.requests:
             if not request.answered and (request.done or now >= request.deadline_ns):
-                self._reply(request.final())
+                self._answer(request)
         for recording in self.recordings.values():
             if recording.phase != "running":
                 continue
@@ -187,7 +209,14 @@ class Recorder:
         for request in self.requests:
             if not request.answered:
                 request.refused_late("stopping", f"tagmill is going down: {why}")
-                self._reply(request.final())
+                self._answer(request)
+
+    def _answer(self, request: Request) -> None:
+        answer = request.final()
+        self._answered[answer.key] = answer
+        while len(self._answered) > _ANSWERS_KEPT:
+            self._answered.popitem(last=False)
+        self._reply(answer)
 
     @property
     def settled(self) -> bool:
@@ -204,16 +233,19 @@ class Recorder:
             yield self._ledgers.of_request(request)
 
     def ledger_answered(self, answer: Answer) -> None:
-        """The store has (or refuses) an account; the last one ends its recording."""
-        ended = self._ledgers.answered(answer)
-        if ended is not None:
-            self._ended_ns[ended] = clock.monotonic_ns()
-            get().info("recording.ended", recording=ended.recording, camera=ended.camera, why=ended.why)
-            self._answer_stops(ended)
+        """The store has (or refuses) an account; the last one ends its recording once the store has it."""
+        closing = self._ledgers.answered(answer)
+        if closing is None:
+            return
+        item = closing.recording
+        if closing.error is None:
+            self._ended_ns[item] = clock.monotonic_ns()
+            get().info("recording.ended", recording=item.recording, camera=item.camera, why=item.why)
+        self._answer_stops(item, closing.error)
 
-    def _answer_stops(self, item: Recording) -> None:
+    def _answer_stops(self, item: Recording, error: ErrorInfo | None = None) -> None:
         for order_key in self._stops.pop(item, []):
-            self._reply(Answer(key=order_key, ledgers=(item.ledger(),)))
+            self._reply(Answer(key=order_key, ledgers=(item.ledger(),), error=error))
 
     def states(self) -> Iterator[RecordingState]:
         """What the bus is told of the recordings."""

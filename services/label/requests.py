@@ -102,6 +102,8 @@ class Request:
         """A wanted frame was overwritten before it could be kept."""
         self.account.drop("label")
         self.last_reason, self.last_message = "frame_lost", None
+        if self.order.frame is not None:
+            self.deadline_ns = 0
 
     def stored(self, sample: str) -> None:
         """A sample is durable."""

@@ -42,6 +42,11 @@ class Roster:
         """Whether a camera is this process's, as far as is known: before the first shares any may be."""
         return self._alone or self._shares is None or self._shares.label.get(camera) == self._instance
 
+    @property
+    def decided(self) -> bool:
+        """Whether it is known which cameras are this process's."""
+        return self._alone or self._shares is not None
+
     def hear_shares(self, shares: Shares) -> None:
         """Control's split; cameras that are another's now are let go."""
         self._shares = shares

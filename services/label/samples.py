@@ -14,7 +14,7 @@ import numpy as np
 
 from common import VERSION, clock, ids
 from common.bus import OrderClient
-from common.errors import NoSpaceError, RefusedError
+from common.errors import NoSpaceError, RefusedError, TagmillError
 from common.frames import FrameView, SampleRing, segment_name
 from common.labels import CameraLabel, DepthLabel, Label, ObjectLabel, SourceDetections
 from common.messages import Answer, Detections, FrameRef, StoreOrder
@@ -64,7 +64,7 @@ class Samples:
     def __init__(self, prefix: str, owner: str, boot: str, slots: int, *, keep_original: bool) -> None:
         self._prefix, self._owner, self._boot = prefix, owner, boot
         self._slots = slots
-        self._keep_original = keep_original
+        self.keep_original = keep_original
         self._rings: dict[str, SampleRing] = {}
         self._rings_made = 0
         self._held = Held()
@@ -91,8 +91,9 @@ class Samples:
         """
         ref = detections.ref
         name = ids.sample_name(ref.captured_wall_ns, ref.camera, ref.frame)
-        if name in self.under_way:
-            raise RefusedError(explain("not_due"), code="not_due")
+        known = self.under_way.get(name)
+        if known is not None:
+            return self._join(known, takers)
         ring, slot = self._keep_pixels(camera, ref)
         state = camera.state
         sample = Sample(name, ref, ring, slot, takers, state.camera, state.depth_unit_mm)
@@ -102,6 +103,14 @@ class Samples:
             finisher.submit(job)
         else:
             self._held.add(job, wait)
+        return sample
+
+    @staticmethod
+    def _join(sample: Sample, takers: list[Taker]) -> Sample:
+        """Who asks for a frame that is on its way already shares the sample."""
+        if sample.takers[0].background is not takers[0].background:
+            raise RefusedError(explain("not_due"), code="not_due")
+        sample.takers += takers
         return sample
 
     @property
@@ -131,8 +140,8 @@ class Samples:
         height, width = view.bgr.shape[:2]
         has_depth = view.depth is not None
         ring = self._rings.get(camera)
-        wanted = (width, height, has_depth)
-        if ring is not None and (ring.layout.width, ring.layout.height, ring.layout.has_depth) != wanted:
+        wanted = (width, height, has_depth, self.keep_original)
+        if ring is not None and _kind(ring) != wanted:
             if ring.free < self._slots:
                 raise RefusedError(explain("backlog_full"), code="backlog_full")
             self._rings.pop(camera).close()
@@ -141,7 +150,7 @@ class Samples:
             self._rings_made += 1
             name = segment_name(self._prefix, f"{self._owner}.{camera}.{self._rings_made}", self._boot)
             try:
-                ring = SampleRing(name, width, height, has_depth, self._slots, with_original=self._keep_original)
+                ring = SampleRing(name, width, height, has_depth, self._slots, with_original=self.keep_original)
             except NoSpaceError as error:
                 raise RefusedError(error.message, code="no_space") from error
             self._rings[camera] = ring
@@ -188,7 +197,7 @@ class Samples:
             )
             try:
                 store.send(order)
-            except RefusedError as error:
+            except TagmillError as error:
                 yield self._end(sample, error.code, error.message)
 
     def answered(self, answer: Answer) -> Outcome | None:
@@ -209,6 +218,11 @@ class Samples:
         for ring in self._rings.values():
             ring.close()
         self._rings.clear()
+
+
+def _kind(ring: SampleRing) -> tuple[int, int, bool, bool]:
+    layout = ring.layout
+    return layout.width, layout.height, layout.has_depth, layout.has_original
 
 
 def _label(sample: Sample, result: Finished, session: str, others: tuple[SourceDetections, ...]) -> Label:

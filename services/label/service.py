@@ -14,7 +14,7 @@ from functools import partial
 from common import clock
 from common.bus import OrderClient, OrderServer, Poller, Publisher, Return, Subscriber
 from common.config import load_rig
-from common.errors import FrameLostError, RefusedError
+from common.errors import ConfigError, FrameLostError, RefusedError
 from common.messages import (
     MARKERS,
     Answer,
@@ -22,7 +22,6 @@ from common.messages import (
     Detections,
     ErrorInfo,
     Labels,
-    LedgerQuery,
     Order,
     PreviewOrder,
     RecordOrder,
@@ -41,6 +40,7 @@ from services.label.labelling import Labelled, Labeller
 from services.label.preview import Previews
 from services.label.recorder import Recorder
 from services.label.requests import explain
+from services.label.resumption import Resumption
 from services.label.roster import Roster
 from services.label.samples import Samples, Taker
 from services.label.streams import Streams
@@ -48,7 +48,6 @@ from services.label.streams import Streams
 _ORDERS = (RecordOrder, StartOrder, StopOrder, PreviewOrder, ReloadOrder)
 _STATES_EVERY_NS = 1_000_000_000
 _BUSY_WAIT_S = 0.005
-_HOLD_NS = 4_000_000_000
 _STORE_WINDOW = 4096
 
 
@@ -62,11 +61,10 @@ class LabelService:
         config = context.rig.config
         self._roster = Roster(context.instance, config.workers.label, config.ring.slots, context.log)
         self._returns: dict[str, Return] = {}
-        self._recorder = Recorder(self._reply)
+        self._recorder = Recorder(self._reply, context.boot)
         self._dropped = Tally()
         self._labelled = Rate()
         self._latency = Percentiles()
-        self._held_since: dict[str, int] = {}
         self._states_due_ns = 0
         self._phases: dict[tuple[str, str], str] = {}
         self._draining = False
@@ -76,7 +74,7 @@ class LabelService:
         """Bind the order socket, start the workers, ask the store which recordings run."""
         context, endpoints = self._context, self._context.endpoints
         self._streams = Streams(Labeller.of(self._rig), self._roster, self._log)
-        self._finisher = Finisher(self._rig.path)
+        self._finisher = Finisher(self._rig)
         self._finisher.warm_up()
         self._samples = Samples(
             endpoints.prefix,
@@ -101,8 +99,7 @@ class LabelService:
         self._poller = Poller()
         for source in (self._orders, self._store, self._subscriber):
             self._poller.add(source)
-        self._query_key = f"query/{context.id}/{context.boot}"
-        self._store.send(LedgerQuery(key=self._query_key))
+        self._resumption = Resumption(self._store, f"{context.id}/{context.boot}")
 
     def step(self, timeout_s: float) -> None:
         """One round: orders, news, at most one frame a camera, outcomes, deadlines."""
@@ -117,9 +114,11 @@ class LabelService:
             self._next_frame(camera)
         self._streams.go_on(self._samples, self._finisher, all_=self._draining)
         self._collect()
+        self._resume()
         self._recorder.tick(self._roster.states())
-        for ledger in self._recorder.ledger_orders():
-            self._store.send(ledger)
+        if len(self._store.pending) < _STORE_WINDOW // 2:
+            for ledger in self._recorder.ledger_orders():
+                self._store.send(ledger)
         self._tell_states()
 
     def drain(self) -> bool:
@@ -127,7 +126,11 @@ class LabelService:
         self._draining = True
         self._recorder.finish_all("the stack was stopped")
         self.step(0.05)
-        return self._recorder.settled and not self._samples.under_way and set(self._store.pending) <= {self._query_key}
+        return (
+            self._recorder.settled
+            and not self._samples.under_way
+            and set(self._store.pending) <= {self._resumption.key}
+        )
 
     def close(self) -> None:
         """Let go of everything, whatever state it is in."""
@@ -181,20 +184,27 @@ class LabelService:
     def _record(self, order: RecordOrder) -> None:
         request = self._recorder.record(order)
         camera = self._roster.get(order.camera)
-        if order.frame is None or camera is None:
+        if request is None or order.frame is None or camera is None:
             return
         past = next((item for item in camera.recent if item.ref.frame == order.frame), None)
         if past is not None:
             labelled = self._streams.label_past(camera, past)
-            self._recorder.frame(past, labelled, partial(self._begin, labelled))
-        elif order.frame <= camera.newest:
-            request.refused("frame_gone")
+            self._recorder.past_frame(request, past, labelled, partial(self._begin, labelled))
+        elif order.frame <= camera.newest and not any(item.ref.frame == order.frame for item in camera.waiting):
+            request.refused_late("frame_gone", explain("frame_gone"))
 
     def _reload(self, key: str) -> None:
         """Take over the rig file, which control has checked."""
-        self._rig = load_rig(self._rig.path)
-        self._streams.replace(Labeller.of(self._rig))
-        self._finisher.reload()
+        try:
+            rig = load_rig(self._rig.path)
+            labeller = Labeller.of(rig)
+        except ConfigError as error:
+            self._refuse(key, error.code, error.message)
+            return
+        self._rig = rig
+        self._streams.replace(labeller)
+        self._finisher.reload(rig)
+        self._samples.keep_original = rig.config.dataset.keep_original
         self._reply(Answer(key=key))
         self._log.info("rig.reloaded", objects=len(self._rig.boxes))
 
@@ -220,6 +230,7 @@ class LabelService:
                 self._roster.hear_shares(message)
             case ServiceState():
                 self._store.peer_seen(message.boot)
+                self._resumption.store_seen()
 
     # --- frames ---------------------------------------------------------------------------------------
 
@@ -239,16 +250,8 @@ class LabelService:
 
     def _hold(self, camera: Camera) -> bool:
         """A paced camera waits for its label, so its frame is held back while no sample slot is free."""
-        waits = (
-            camera.state.paced
-            and self._recorder.needs_every_frame(camera.name)
-            and not (self._samples.room(camera.name) and self._store.available)
-        )
-        now = clock.monotonic_ns()
-        if not waits:
-            self._held_since.pop(camera.name, None)
-            return False
-        return now - self._held_since.setdefault(camera.name, now) < _HOLD_NS
+        full = not (self._samples.room(camera.name) and self._store.available)
+        return camera.hold(full and camera.state.paced and self._recorder.needs_every_frame(camera.name))
 
     def _frame(self, camera: Camera, detections: Detections) -> None:
         began = clock.monotonic_ns()
@@ -286,16 +289,18 @@ class LabelService:
         for outcome in self._samples.finished(jobs, self._rig.config.dataset.session, self._store, self._roster.others):
             self._recorder.outcome(outcome)
         for answer in self._store.receive():
-            if answer.key == self._query_key:
-                self._resume(answer)
-            elif (outcome_ := self._samples.answered(answer)) is not None:
+            if self._resumption.answered(answer):
+                continue
+            if (outcome_ := self._samples.answered(answer)) is not None:
                 self._recorder.outcome(outcome_)
             else:
                 self._recorder.ledger_answered(answer)
 
-    def _resume(self, answer: Answer) -> None:
-        """Go on with recordings that ran when this service last died."""
-        for ledger in answer.ledgers:
+    def _resume(self) -> None:
+        """Go on with recordings that ran when this service last died, once it is known which cameras are ours."""
+        if not self._roster.decided:
+            return
+        for ledger in self._resumption.take():
             for camera, account in ledger.cameras.items():
                 if ledger.phase == "running" and self._roster.may_serve(camera):
                     order = StartOrder(key=f"resume/{ledger.spec.recording}", spec=ledger.spec, camera=camera)

@@ -138,3 +138,35 @@ def test_nothing_is_ever_unaccounted(steps: list[tuple[int, str, bool]]) -> None
             elif fate == "fail":
                 account.failed(name, "disk_full")
         assert open_frames(account) == 0
+
+
+def test_a_file_that_plays_on_after_labels_restart_is_not_counted_twice() -> None:
+    saved = CameraLedger(captured=60, recorded=60, last_count=60, boot="b1")
+    account = Account(saved)
+    for count in range(63, 160):
+        account.arrived(ref(count))
+        account.refuse("no_object")
+    account.camera_ended(ended(159, first=1), "rec")
+    assert account.captured == 159
+    assert account.dropped == {"label_restart": 2}
+    assert account.ledger().settled
+
+
+def test_a_camera_restarted_in_a_later_pass_is_counted_from_its_new_life() -> None:
+    account = Account()
+    for count in range(160, 200):
+        account.arrived(ref(count))
+        account.refuse("no_object")
+    for count in range(1, 160):
+        account.arrived(ref(count, "b2"))
+        account.refuse("no_object")
+    account.camera_ended(ended(159, boot="b2", first=1), "rec")
+    assert account.captured == 40 + 159
+    assert account.ledger().settled
+
+
+def test_what_a_restart_left_open_is_settled_at_the_end_even_without_a_further_frame() -> None:
+    account = Account(CameraLedger(captured=100, recorded=90, refused={"no_object": 4}, last_count=100, boot="b1"))
+    account.close()
+    assert account.dropped == {"label_restart": 6}
+    assert account.ledger().settled

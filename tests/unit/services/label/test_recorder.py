@@ -2,15 +2,18 @@
 
 from __future__ import annotations
 
+import time
 from types import SimpleNamespace
 from typing import Any
 
+import numpy as np
 import pytest
 
 from common import clock
 from common.errors import FrameLostError, RefusedError
+from common.geometry import Pose
 from common.labels import RecordingSpec
-from common.messages import Answer, Detections, FrameRef, RecordOrder, StartOrder
+from common.messages import Answer, Detections, ErrorInfo, FrameRef, RecordOrder, StartOrder
 from services.label.recorder import Recorder
 from services.label.samples import Outcome, Taker
 
@@ -239,3 +242,63 @@ def test_going_down_answers_everybody(bench: Bench) -> None:
     for ledger in list(bench.recorder.ledger_orders()):
         bench.recorder.ledger_answered(Answer(key=ledger.key))
     assert bench.recorder.settled
+
+
+def test_a_repeated_order_after_its_answer_gets_the_same_answer_and_no_further_sample(bench: Bench) -> None:
+    bench.recorder.record(order())
+    bench.frame(1)
+    bench.end("s1")
+    bench.tick()
+    list(bench.recorder.ledger_orders())
+    bench.recorder.record(order())
+    bench.frame(2)
+    assert not bench.begun
+    assert [answer.samples for answer in bench.answers] == [("s1",), ("s1",)]
+
+
+def test_a_closing_account_that_the_store_refuses_is_told_again_and_the_stop_says_so(bench: Bench) -> None:
+    bench.recorder.start(start())
+    bench.frame(1, objects=0)
+    bench.recorder.stop("rec-2", "cam0", "stop")
+    (first,) = bench.recorder.ledger_orders()
+    bench.recorder.ledger_answered(Answer(key=first.key, error=ErrorInfo(code="no_dataset", message="gone")))
+    assert bench.answers[0].error is not None
+    assert bench.recorder.recordings["rec-2", "cam0"].phase == "finishing"
+    assert list(bench.recorder.ledger_orders()) == [], "not at once"
+    deadline = time.monotonic() + 10
+    while not (again := list(bench.recorder.ledger_orders())):
+        assert time.monotonic() < deadline
+    bench.recorder.ledger_answered(Answer(key=again[0].key))
+    assert bench.recorder.recordings["rec-2", "cam0"].phase == "ended"
+
+
+def test_a_frame_of_the_past_goes_to_the_request_that_asked_for_it_only(bench: Bench) -> None:
+    bench.frame(4)
+    bench.recorder.start(start())
+    request = bench.recorder.record(order(frame=4))
+    assert request is not None
+    bench.recorder.past_frame(request, detections(4), seen(objects=1), bench.begin)
+    assert bench.begun == {"s4": [request]}
+    assert bench.recorder.recordings["rec-2", "cam0"].account.captured == 0
+    bench.end("s4")
+    assert request.account.ledger().settled
+
+
+class Thing(SimpleNamespace):
+    """An object straight ahead, as far as `Views` looks at it."""
+
+    name = "box"
+    quality = SimpleNamespace(reprojection_error_px=0.1, ambiguous=False)
+    pose = Pose(np.eye(3), np.array([0.0, 0.0, 1000.0])).label()
+
+
+def test_auto_takes_a_view_once_even_while_its_sample_is_on_its_way(bench: Bench) -> None:
+    spec = RecordingSpec(recording="rec-2", mode="auto", cameras=("cam0",), started_at="now")
+    bench.recorder.start(StartOrder(key="start", spec=spec, camera="cam0"))
+    still = SimpleNamespace(objects=(Thing(),), left_out=(), missing=())
+    for count in range(1, 6):
+        bench.recorder.frame(detections(count), still, bench.begin)  # type: ignore[arg-type]
+    assert list(bench.begun) == ["s1"]
+    bench.end("s1", "ambiguous_pose")
+    bench.recorder.frame(detections(6), still, bench.begin)  # type: ignore[arg-type]
+    assert list(bench.begun) == ["s6"], "a refused view is wanted again"
