@@ -186,6 +186,8 @@ class OrderDesk:
         answer = Answer(key=order.key, error=error, samples=() if error else (order.key,))
         for return_ in self._orders.finish(order, answer):
             self._answer(return_, answer)
+        for return_, query in self._orders.due():
+            self._answer_query(return_, query)
 
     # --- the ledger ---------------------------------------------------------------------------------------
 
@@ -202,10 +204,20 @@ class OrderDesk:
         self._keeper.when_durable(book.revision, answer, urgent=order.ended)
 
     def _query(self, return_: Return, order: LedgerQuery) -> None:
-        self._require_session()
-        book = self._keeper.book
-        assert book is not None
-        self._answer(return_, Answer(key=order.key, ledgers=book.query(order.recording), text=book.name))
+        # Who asks for all takes recordings up again after a crash: samples still under way must be counted by then.
+        if order.recording is not None or not self._orders.hold(return_, order):
+            self._answer_query(return_, order)
+
+    def _answer_query(self, return_: Return, order: LedgerQuery) -> None:
+        try:
+            self._require_session()
+            book = self._keeper.book
+            assert book is not None
+            answer = Answer(key=order.key, ledgers=book.query(order.recording), text=book.name)
+        except RefusedError as error:
+            self._refuse(return_, order, _info(error))
+        else:
+            self._answer(return_, answer)
 
     # --- sessions -----------------------------------------------------------------------------------------
 

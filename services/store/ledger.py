@@ -17,6 +17,8 @@ from common.labels import CameraLabel, CameraLedger, Ledger, RecordingSpec
 from common.messages import LedgerOrder
 
 UNKNOWN_RECORDING = "no_recording"
+LABEL_RESTART = "label_restart"
+"""Where frames are dropped whose fate a label process took with it."""
 _ALIVE = ("running", "finishing")
 _CALIBRATION = ("width", "height", "model", "matrix", "distortion")
 
@@ -174,11 +176,22 @@ def _with_count(account: CameraLedger, counted: int) -> CameraLedger:
     if more <= 0:
         return account
     told = counted + sum(account.refused.values()) + sum(account.dropped.values())
+    surplus = max(told - account.captured, 0)
+    # A sample that was on its way when the label process died was first given up, and became durable all the same.
+    given_up = account.dropped.get(LABEL_RESTART, 0)
+    found = min(surplus, given_up)
+    unheard = surplus - found
+    dropped = {place: frames for place, frames in account.dropped.items() if place != LABEL_RESTART}
+    if given_up > found:
+        dropped[LABEL_RESTART] = given_up - found
     return account.model_copy(
         update={
             "recorded": counted,
             "pending": max(account.pending - more, 0),
-            "captured": max(account.captured, told),
+            "captured": account.captured + unheard,
+            # Frames that the account hadn't heard of: they follow its last one, and must not be counted again.
+            "last_count": account.last_count + (unheard if account.boot else 0),
+            "dropped": dropped,
         }
     )
 

@@ -3,15 +3,23 @@
 from __future__ import annotations
 
 from collections import OrderedDict
+from dataclasses import dataclass
 
 from common.bus import Return
 from common.ids import is_sample_name, sample_camera
-from common.messages import Answer, ErrorInfo, StoreOrder
+from common.messages import Answer, ErrorInfo, LedgerQuery, StoreOrder
 from services.store.sample import BAD_SAMPLE
 
 _MOST_REMEMBERED = 4096
 
 _Pixels = tuple[str, str, int]
+
+
+@dataclass(frozen=True, slots=True)
+class _Held:
+    return_: Return
+    query: LedgerQuery
+    waits_for: set[str]
 
 
 class StoreOrders:
@@ -24,6 +32,7 @@ class StoreOrders:
     def __init__(self) -> None:
         self._waiting: dict[str, list[Return]] = {}
         self._refused: OrderedDict[_Pixels, Answer] = OrderedDict()
+        self._held: list[_Held] = []
 
     def __len__(self) -> int:
         return len(self._waiting)
@@ -45,12 +54,27 @@ class StoreOrders:
         """The order is in work from now on."""
         self._waiting[order.key] = [return_]
 
+    def hold(self, return_: Return, query: LedgerQuery) -> bool:
+        """Keep a query until the orders that are in work now are finished; False if none is."""
+        if self._waiting:
+            self._held.append(_Held(return_, query, set(self._waiting)))
+        return bool(self._waiting)
+
+    def due(self) -> list[tuple[Return, LedgerQuery]]:
+        """The queries whose time has come, each once."""
+        done = [held for held in self._held if not held.waits_for]
+        if done:
+            self._held = [held for held in self._held if held.waits_for]
+        return [(held.return_, held.query) for held in done]
+
     def finish(self, order: StoreOrder, answer: Answer) -> list[Return]:
         """The order has its answer; returns to whom it goes."""
         if answer.error is not None:
             self._refused[_pixels(order)] = answer
             if len(self._refused) > _MOST_REMEMBERED:
                 self._refused.popitem(last=False)
+        for held in self._held:
+            held.waits_for.discard(order.key)
         return self._waiting.pop(order.key, [])
 
 

@@ -141,6 +141,17 @@ def test_the_ledger_is_durable_when_answered_and_counts_by_itself(stack: Stack, 
     assert error.code == "no_recording"
 
 
+def test_who_asks_for_all_ledgers_is_told_of_the_samples_that_are_under_way(
+    stack: Stack, label_side: StoreSide
+) -> None:
+    start(stack, TAGMILL_STORE_DELAY_MS="200")
+    label_side.answer_to(label_side.ledger(spec(), CameraLedger(captured=4, pending=4)))
+    keys = [label_side.store(frame) for frame in range(1, 5)]
+    (ledger,) = label_side.query().ledgers
+    assert (ledger.cameras["cam0"].recorded, ledger.cameras["cam0"].pending) == (4, 0)
+    check_whole(session_of(stack), *keys)
+
+
 def test_a_recording_of_an_earlier_stack_is_closed_as_interrupted(stack: Stack, label_side: StoreSide) -> None:
     store = start(stack)
     label_side.answer_to(label_side.store(1))

@@ -83,6 +83,28 @@ def test_more_durable_samples_than_captured_frames_are_never_told() -> None:
     assert ledger.cameras["cam1"] == CameraLedger(captured=2, recorded=2)
 
 
+def test_frames_the_account_had_not_heard_of_are_not_counted_again() -> None:
+    book = new_book(recorded={"rec-a": Counter(cam0=12)})
+    told = CameraLedger(captured=10, recorded=9, dropped={"detect": 1}, boot="b", last_count=40)
+    account = book.merge(order(told), START_NS).cameras["cam0"]
+    assert (account.captured, account.last_count) == (13, 43)
+    assert account.settled
+
+
+def test_a_sample_given_up_at_a_restart_of_label_is_not_counted_twice() -> None:
+    book = new_book(recorded={"rec-a": Counter(cam0=8)})
+    told = CameraLedger(captured=10, recorded=5, dropped={"label_restart": 4, "detect": 1}, boot="b", last_count=40)
+    account = book.merge(order(told), START_NS).cameras["cam0"]
+    assert (account.captured, account.recorded, account.last_count) == (10, 8, 40)
+    assert account.dropped == {"label_restart": 1, "detect": 1}
+    book.sample_stored("rec-a", "cam0")
+    book.sample_stored("rec-a", "cam0")
+    account = book.query("rec-a")[0].cameras["cam0"]
+    assert (account.captured, account.recorded, account.last_count) == (11, 10, 41)
+    assert account.dropped == {"detect": 1}
+    assert account.settled
+
+
 def test_a_late_sample_of_an_ended_recording_gets_to_the_disk() -> None:
     book = new_book()
     book.merge(order(CameraLedger(captured=1), ended=True), START_NS)
