@@ -5,9 +5,9 @@ from __future__ import annotations
 import argparse
 
 from common.errors import EXIT_USAGE
-from tools.bench import detect_recall, load, render
+from tools.bench import detect, load, render
 
-BENCHES = {"load": load, "detect": detect_recall, "render": render}
+BENCHES = {"load": load, "detect": detect, "render": render}
 
 
 def add_parser(parser: argparse.ArgumentParser) -> None:

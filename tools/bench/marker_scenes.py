@@ -150,10 +150,10 @@ def _cast(light: Array, placed: Placed, shadow: float, rng: np.random.Generator)
 
 def _photograph(light: Array, rng: np.random.Generator, look: Look) -> Grey:
     if look.motion_px:
-        light = cv2.filter2D(light, -1, _streak(look.motion_px, rng.uniform(0, np.pi)))
-    light = np.asarray(cv2.GaussianBlur(light, (0, 0), look.blur_px)) * look.exposure
-    levels = np.minimum(light, SATURATED) + rng.normal(0, look.noise, light.shape)
-    return np.clip(np.rint(levels), 0, SATURATED).astype(np.uint8)
+        light = np.asarray(cv2.filter2D(light, -1, _streak(look.motion_px, rng.uniform(0, np.pi))), np.float64)
+    exposed = np.asarray(cv2.GaussianBlur(light, (0, 0), look.blur_px)) * look.exposure
+    levels = np.minimum(exposed, SATURATED) + rng.normal(0, look.noise, light.shape)
+    return np.asarray(np.clip(np.rint(levels), 0, SATURATED), dtype=np.uint8)
 
 
 def _streak(length: float, angle: float) -> Array:
@@ -166,7 +166,7 @@ def _streak(length: float, angle: float) -> Array:
         i, j = int(np.floor(x)), int(np.floor(y))
         a, b = x - i, y - j
         kernel[j : j + 2, i : i + 2] += np.outer([1 - b, b], [1 - a, a])
-    return kernel / kernel.sum()
+    return np.asarray(kernel / kernel.sum())
 
 
 Maker = Callable[[Family, np.random.Generator], Scene]
@@ -201,7 +201,7 @@ def reference(family: Family, seed: int) -> Iterator[Scene]:
                 rng = np.random.default_rng([seed, int(distance), int(tilt), number])
                 placed = []
                 for marker, column in zip(rng.choice(family.ids, 3, replace=False).tolist(), (-1, 0, 1), strict=True):
-                    pixel = CENTRE + (column * WIDTH / 3, 0) + rng.uniform((-60, -150), (60, 150))
+                    pixel = CENTRE + np.array([column * WIDTH / 3, 0]) + rng.uniform((-60, -150), (60, 150))
                     at = np.append((pixel - CENTRE) / FOCAL_PX * distance, distance)
                     placed.append(Placed(marker, family.bitmap(marker), 50.0, rotation(rng, tilt), at))
                 yield render(placed, rng, Look())
@@ -246,3 +246,23 @@ def empty(seed: int, scenes: int) -> Iterator[Scene]:
     for number in range(scenes):
         rng = np.random.default_rng([seed, 99, number])
         yield render([], rng, PLAIN)
+
+
+def sequence(family: Family, seed: int, frames: int) -> Iterator[Scene]:
+    """Three markers that wander, turn and come nearer before a background that stays."""
+    rng = np.random.default_rng([seed, 55])
+    behind = background(rng)
+    ids = rng.choice(family.ids, 3, replace=False).tolist()
+    turns = [rotation(rng, 30.0) for _ in ids]
+    phases = rng.uniform(0, 2 * np.pi, 3)
+    for number in range(frames):
+        placed = []
+        for marker, turned, phase, column in zip(ids, turns, phases, (-1, 0, 1), strict=True):
+            angle = phase + number / 12
+            distance = 700 + 150 * np.sin(angle / 2)
+            shift = np.array([column * WIDTH / 3 + 60 * np.cos(angle), 120 * np.sin(angle)])
+            pixel = CENTRE + shift
+            at = np.append((pixel - CENTRE) / FOCAL_PX * distance, distance)
+            spun, _ = cv2.Rodrigues(np.array([0.0, 0.0, number / 30]))
+            placed.append(Placed(marker, family.bitmap(marker), 50.0, np.asarray(spun @ turned), at))
+        yield render(placed, rng, PLAIN, behind)

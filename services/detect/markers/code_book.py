@@ -27,6 +27,8 @@ LEAST_LEAD = 0.15
 """Before the next pattern (another id or another turn); families of close patterns have half their clean lead."""
 BLURS = ((0.0, 0.0), (0.4, 0.4), (0.6, 0.6), (0.8, 0.8), (0.9, 0.2), (0.2, 0.9))
 """Standard deviations along a row and a column, in cells: sharp, small or out of focus, moving."""
+ONE_THREAD_PRODUCT = 250_000
+"""Multiplications. Threads cost more than they bring here, and a detect process shall take one core."""
 SHORT_LIST = 6
 """So many patterns, the best when taken as sharp, are compared in all blurs."""
 
@@ -59,7 +61,7 @@ class CodeBook:
             none = np.empty(0, dtype=np.intp)
             return Match(none, none, np.empty(0, dtype=np.float32), np.empty(0, dtype=np.bool_))
         levels = _normalised(grids)
-        rough = levels @ self._sharp
+        rough = self._correlations(levels)
         length = min(SHORT_LIST, rough.shape[1])
         listed = np.argpartition(rough, -length, axis=1)[:, -length:]
         scores = np.einsum("bklc,kc->bkl", self._blurred[:, listed], levels).max(axis=0)
@@ -70,6 +72,12 @@ class CodeBook:
         scores[row, first] = -1.0
         sure = (best >= self.least_score) & (best - scores.max(axis=1) >= self.least_lead)
         return Match(pattern // 4, pattern % 4, best, sure)
+
+    def _correlations(self, levels: Array) -> Array:
+        """Correlation (K, P) with each sharp pattern, in products too small for the BLAS to start threads for."""
+        rows = max(ONE_THREAD_PRODUCT // self._sharp.size, 1)
+        parts = [levels[at : at + rows] @ self._sharp for at in range(0, len(levels), rows)]
+        return np.asarray(np.concatenate(parts), dtype=np.float32)
 
 
 def _papered(family: Family, marker: int) -> Array:

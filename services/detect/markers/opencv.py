@@ -17,7 +17,7 @@ MIN_SIDE_PX = 16
 
 
 def parameters() -> cv2.aruco.DetectorParameters:
-    """The search's parameters; where they differ from cv2's defaults, measured by tools/bench/detect_recall.py.
+    """The search's parameters; where they differ from cv2's defaults, measured by ``tagmill bench detect``.
 
     More samples a cell, and only those from its middle, read small and blurred cells better (nasa_swarmathon:
     41 of 47 instead of 36 at the same price). The defaults stay where a change costs recall

@@ -31,6 +31,8 @@ CELLS_OFF = 0.6
 FOLLOWED_CELLS_OFF = 0.95
 """The same for a predicted marker. Beyond a cell the edges of inner cells look like the outer one."""
 LEAST_REACH_PX = 1.0
+FEW = 6
+"""So few quads are not worth a first look for those without contrast."""
 ALIKE_SHIFT, ALIKE_SIZE = 0.08, 0.15
 """Candidates of two levels are one: their centres' distance in sides (and a pixel), their sizes' ratio (log)."""
 
@@ -84,11 +86,13 @@ class PatternDetector:
 
     def _identify(self, grey: Grey, quads: Array) -> list[_Seen]:
         """Those quads (K, 4, 2) that show a marker of the family, fitted once more."""
-        contrasty, _ = self._reader.bordered(self._reader.cells(grey, quads))
-        candidates = np.flatnonzero(contrasty)
+        candidates = np.arange(len(quads))
+        if len(quads) > FEW:
+            contrasty, _ = self._reader.bordered(self._reader.cells(grey, quads))
+            candidates = np.flatnonzero(contrasty)
+            quads = quads[candidates]
         if not len(candidates):
             return []
-        quads = quads[candidates]
         quads = fit_edges(grey, quads, np.maximum(CELLS_OFF / 2 * self._cell_px(quads), LEAST_REACH_PX))
         cells = self._reader.cells(grey, quads)
         contrasty, bordered = self._reader.bordered(cells)

@@ -24,9 +24,14 @@ def check(grey: Grey) -> None:
 def merged(found: list[tuple[int, Corners]]) -> list[tuple[int, Corners]]:
     """Each physical marker once: of two quads that cover the same paper the earlier stays."""
     kept: list[tuple[int, Corners]] = []
+    places: list[tuple[float, float, float]] = []
     for marker, corners in found:
-        if not any(same_place(corners, other) for _, other in kept):
+        x, y = corners.mean(axis=0).tolist()
+        reach = float(np.abs(corners - (x, y)).max())
+        near = (k for k, (u, v, r) in enumerate(places) if max(abs(u - x), abs(v - y)) < max(r, reach))
+        if not any(same_place(corners, kept[k][1]) for k in near):
             kept.append((marker, corners))
+            places.append((x, y, reach))
     return kept
 
 
