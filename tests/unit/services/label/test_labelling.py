@@ -228,3 +228,20 @@ def test_the_photo_of_marker_403_is_as_far_away_as_it_was_measured(testdata):
         assert side.distance_mm == pytest.approx(779.4, rel=0.01)
         assert side.distance_joint_mm == pytest.approx(side.distance_mm, rel=0.001)
     assert side.corners_kind == "photometric"
+
+
+def test_a_contradicting_marker_is_listed_with_how_far_off_it_is():
+    zero, one, two = seen(0, 1, 2, pose=POSE)
+    moved = detected(1, np.add(one.corners, (45, -30)))
+    result = labeller().label([zero, moved, two], CAMERA, "cam0", 0)
+    (entry,) = [item for item in result.left_out if item.reason == "contradicts"]
+    assert entry.marker == 1
+    assert entry.residual_px == pytest.approx(np.hypot(45, 30), abs=1)
+
+
+def test_what_is_in_view_but_has_no_pose_is_missing_in_a_stream_but_not_alone():
+    broken = detected(10, [(100, 100)] * 4)
+    service = labeller(BOX, TWIN)
+    result = service.label([broken, *seen(0, pose=POSE)], CAMERA, "cam0", 0)
+    assert [(item.object, item.reason, item.seen_ms_ago) for item in result.missing] == [("box-2", "bad_pose", None)]
+    assert labeller(BOX, TWIN).label_once([broken, *seen(0, pose=POSE)], CAMERA).missing == ()
