@@ -17,6 +17,7 @@ from collections.abc import Iterator
 from contextlib import contextmanager
 from dataclasses import asdict, dataclass
 from pathlib import Path
+from typing import Self
 
 import yaml
 
@@ -117,12 +118,10 @@ def measure(rig: Path, args: argparse.Namespace) -> Load:
         counter.listen(_WARM_UP_S)
         counter.reset()
         before = usage_now(pids)
-        records = _Records(endpoints, names) if args.stall_store else None
-        with _stalled(pids["store"], min(_STALL_S, args.seconds * 2 / 3) if args.stall_store else 0.0):
+        stall_s = min(_STALL_S, args.seconds * 2 / 3) if args.stall_store else 0.0
+        with _Records(endpoints, names if args.stall_store else []) as records, _stalled(pids["store"], stall_s):
             counter.listen(args.seconds)
-        usage = usage_between(before, usage_now(pids))
-        outcomes = records.finish() if records is not None else {}
-        return Load(counter.seconds, counter.result(), usage, outcomes)
+        return Load(counter.seconds, counter.result(), usage_between(before, usage_now(pids)), dict(records.outcomes))
     finally:
         client.close()
         subscriber.close()
@@ -145,32 +144,33 @@ def _stalled(pid: int, seconds: float) -> Iterator[None]:
 
 
 class _Records:
-    """Gives record orders one after the other, all the while, and counts what they were answered."""
+    """Gives record orders one after the other for the length of a block, and counts what they were answered."""
 
     def __init__(self, endpoints: Endpoints, cameras: list[str]) -> None:
-        self._outcomes: Counter[str] = Counter()
+        self.outcomes: Counter[str] = Counter()
         self._over = threading.Event()
         self._thread = threading.Thread(target=self._give, args=(endpoints, cameras), name="records")
+
+    def __enter__(self) -> Self:
         self._thread.start()
+        return self
+
+    def __exit__(self, *_: object) -> None:
+        self._over.set()
+        self._thread.join(30)
 
     def _give(self, endpoints: Endpoints, cameras: list[str]) -> None:
         client = CommandClient(endpoints, timeout_s=10.0)
         try:
             number = 0
-            while not self._over.wait(0.5):
+            while cameras and not self._over.wait(0.5):
                 request = {"command": "record", "camera": cameras[number % len(cameras)], "timeout_s": 2.0}
                 number += 1
                 try:
                     answer = client.request(request)
                 except TagmillError as error:
-                    self._outcomes[f"no answer ({error.code})"] += 1
+                    self.outcomes[f"no answer ({error.code})"] += 1
                     continue
-                self._outcomes["stored" if answer["ok"] else f"refused: {answer['error']['code']}"] += 1
+                self.outcomes["stored" if answer["ok"] else f"refused: {answer['error']['code']}"] += 1
         finally:
             client.close()
-
-    def finish(self) -> dict[str, int]:
-        """Give no more; the answers by outcome."""
-        self._over.set()
-        self._thread.join(30)
-        return dict(self._outcomes)

@@ -8,6 +8,7 @@ import shutil
 import subprocess
 import sys
 import tempfile
+from functools import partial
 from pathlib import Path
 from typing import Any
 
@@ -17,7 +18,7 @@ from common import clock
 from common.bus import CommandClient, Endpoints, Subscriber
 from common.config import load_rig
 from common.dataset import SessionReader
-from common.errors import EXIT_REFUSED, TagmillError
+from common.errors import EXIT_REFUSED, EXIT_USAGE, TagmillError
 from common.messages import TrueObject, Truth
 from common.topics import TRUTH
 from tools.demo.show import show
@@ -38,6 +39,9 @@ def main(argv: list[str] | None = None) -> int:
     parser.add_argument("--out", type=Path, default=Path("demo-out"), help="folder for the dataset and the sheet")
     out: Path = parser.parse_args(argv).out.resolve()
     console = Console(highlight=False)
+    if out.exists() and any(out.iterdir()) and not (out / "dataset" / "demo").is_dir():
+        console.print(f"{out} holds something else than an earlier demo; name another folder with --out.")
+        return EXIT_USAGE
     shutil.rmtree(out, ignore_errors=True)
     out.mkdir(parents=True)
     rig_path = Path(shutil.copy(RIG, out / "rig.yaml"))
@@ -75,7 +79,8 @@ def record(rig_path: Path, run: Path, console: Console) -> tuple[Truths, dict[st
         console.print("The stack is up: cam0 1280x720 RGB-D, two boxes. Recording 12 samples ...")
         take(client, subscriber, truths, "cam0", 12)
         plug_in(run)
-        wait_ready(client, {"cam0", "cam1"})
+        drain = partial(listen, subscriber, truths)
+        wait_ready(client, {"cam0", "cam1"}, meanwhile=drain)
         console.print("cam1 was plugged in while the stack ran. Recording 6 samples from each ...")
         take(client, subscriber, truths, "all", 6)
         after = client.request({"command": "status"})
@@ -90,14 +95,20 @@ def record(rig_path: Path, run: Path, console: Console) -> tuple[Truths, dict[st
 def take(client: CommandClient, subscriber: Subscriber, truths: Truths, camera: str, count: int) -> None:
     """Record ``count`` samples a camera, one by one, and keep the truth of all frames that pass meanwhile."""
     for _ in range(count):
+        listen(subscriber, truths)
         answer = client.request(
             {"command": "record", "camera": camera, "timeout_s": _RECORD_S}, timeout_s=_RECORD_S + 5
         )
-        for received in subscriber.receive():
-            if isinstance(received.message, Truth):
-                truths[received.message.camera, received.message.frame] = received.message.objects
+        listen(subscriber, truths)
         if not answer["ok"]:
             raise TagmillError(f"a record was refused: {answer['error']['message']}")
+
+
+def listen(subscriber: Subscriber, truths: Truths) -> None:
+    """Keep the truth of the frames that passed since the last time."""
+    for received in subscriber.receive():
+        if isinstance(received.message, Truth):
+            truths[received.message.camera, received.message.frame] = received.message.objects
 
 
 def plug_in(run: Path) -> None:

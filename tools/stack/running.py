@@ -5,7 +5,7 @@ from __future__ import annotations
 import os
 import subprocess
 import sys
-from collections.abc import Collection, Iterator, Mapping
+from collections.abc import Callable, Collection, Iterator, Mapping
 from contextlib import contextmanager
 from pathlib import Path
 from typing import Any
@@ -39,8 +39,15 @@ def _command(name: str, rig: Path) -> list[str]:
     return [sys.executable, "-m", "tools", name, "--rig", str(rig)]
 
 
-def wait_ready(client: CommandClient, cameras: Collection[str], timeout_s: float = READY_S) -> dict[str, Any]:
+def wait_ready(
+    client: CommandClient,
+    cameras: Collection[str],
+    timeout_s: float = READY_S,
+    meanwhile: Callable[[], None] = lambda: None,
+) -> dict[str, Any]:
     """Wait until the roll-call is complete and the cameras give pictures; returns that status.
+
+    ``meanwhile`` is called in between, a few times a second.
 
     Raises TagmillError at the deadline, naming what is missing.
     """
@@ -48,6 +55,7 @@ def wait_ready(client: CommandClient, cameras: Collection[str], timeout_s: float
     pause = Poller()
     status: dict[str, Any] = {}
     while clock.monotonic_ns() < deadline:
+        meanwhile()
         try:
             status = client.request({"command": "status"}, timeout_s=2.0)
         except TagmillError:
