@@ -7,6 +7,7 @@ from collections import deque
 from collections.abc import Callable
 from concurrent.futures import Future
 from dataclasses import replace
+from pathlib import Path
 
 from common import clock
 from common.bus import Return
@@ -15,6 +16,7 @@ from common.config import Rig, load_rig
 from common.dataset import SessionCamera
 from common.errors import RefusedError, TagmillError
 from common.ids import NAME_PATTERN
+from common.log import get
 from common.messages import (
     Answer,
     CameraState,
@@ -28,13 +30,14 @@ from common.messages import (
 )
 from common.service.meters import Rate, Tally
 from services.store.background import DiskThread
+from services.store.choice import Choice, remember
 from services.store.keeper import Phase, SessionKeeper
 from services.store.orders import StoreOrders, fault
 from services.store.sessions import SESSION_DIFFERS, Wanted
 from services.store.worker import WriteJob, Written
 from services.store.writer import Writer
 
-GiveAnswer = Callable[[Return, Answer], None]
+Give = Callable[[Return, Answer], None]
 
 
 class OrderDesk:
@@ -45,9 +48,11 @@ class OrderDesk:
     """
 
     def __init__(
-        self, keeper: SessionKeeper, writer: Writer, disk: DiskThread, wanted: Wanted, answer: GiveAnswer
+        self, keeper: SessionKeeper, writer: Writer, disk: DiskThread, wanted: Wanted, answer: Give, run_dir: Path
     ) -> None:
         self._keeper, self._writer, self._disk, self._wanted, self._give_answer = keeper, writer, disk, wanted, answer
+        self._run_dir = run_dir
+        self._remembering = 0
         self._orders = StoreOrders()
         self._parked: deque[tuple[Return, Order]] = deque()
         self._switches: deque[Callable[[], None]] = deque()
@@ -66,7 +71,7 @@ class OrderDesk:
     @property
     def idle(self) -> bool:
         """Whether every order has its answer."""
-        return not (self.backlog or self._switches) and self._keeper.settled
+        return not (self.backlog or self._switches or self._remembering) and self._keeper.settled
 
     def open(self) -> None:
         """Begin to open the rig's session."""
@@ -272,7 +277,22 @@ class OrderDesk:
             return
         assert self._keeper.book is not None
         self._wanted = wanted
-        self._answer(return_, Answer(key=order.key, text=self._keeper.book.name))
+        choice = Choice(life=wanted.life, root=wanted.root, name=self._keeper.book.name)
+        run_dir = self._run_dir
+        self._remembering += 1
+        self._disk.submit(
+            lambda: remember(run_dir, choice), lambda done: self._remembered(return_, order, choice, done)
+        )
+
+    def _remembered(self, return_: Return, order: Order, choice: Choice, done: Future[None]) -> None:
+        """Only now is it said that the session is open: a store killed from here on goes on in it."""
+        self._remembering -= 1
+        try:
+            done.result()
+        except OSError as error:
+            why = error.strerror or str(error)
+            get().warning("session.not_remembered", folder=str(self._run_dir), session=choice.name, why=why)
+        self._answer(return_, Answer(key=order.key, text=choice.name))
 
 
 def _info(error: TagmillError) -> ErrorInfo:

@@ -17,6 +17,7 @@ from common.messages import CameraState, StoreSideOrder, Warned
 from common.service import Context, Report
 from common.topics import CAMERA
 from services.store.background import Completions, DiskThread
+from services.store.choice import recall
 from services.store.desk import OrderDesk
 from services.store.disk import RESERVE_BYTES
 from services.store.keeper import SessionKeeper
@@ -57,16 +58,19 @@ class StoreService:
         self._disk = DiskThread(self._completions)
         self._keeper = SessionKeeper(self._disk, context.log, reserve)
         self._writer = Writer(self._completions, self._disk, context.log, reserve=reserve, delay_s=delay_s)
-        self._desk = OrderDesk(self._keeper, self._writer, self._disk, self._wanted(), self._server.answer)
+        self._desk = OrderDesk(
+            self._keeper, self._writer, self._disk, self._wanted(), self._server.answer, context.endpoints.run_dir
+        )
         self._desk.open()
 
     def _wanted(self) -> Wanted:
-        rig = self._context.rig
+        """The session that was chosen last in this life of the stack; at first the rig's."""
+        rig, life = self._context.rig, stack_life()
         return Wanted(
             root=rig.dataset_root,
-            name=rig.config.dataset.session,
+            name=recall(self._context.endpoints.run_dir, life, rig.dataset_root) or rig.config.dataset.session,
             rig=rig,
-            life=stack_life(),
+            life=life,
             new_if_different=self._context.args.new_session,
         )
 

@@ -262,6 +262,18 @@ def test_sessions_are_changed_without_a_restart_but_not_while_recording(stack: S
     assert bad.code == "bad_name"
 
 
+def test_a_killed_store_goes_on_in_the_session_that_was_chosen(stack: Stack, label_side: StoreSide) -> None:
+    store = start(stack)
+    assert label_side.session("other").text == "other"
+    assert label_side.answer_to(label_side.store(1)).error is None
+    store.kill()
+    start(stack)
+    sample = label_side.store(2)
+    assert label_side.answer_to(sample).error is None
+    assert label_side.query().text == "other"
+    check_whole(session_of(stack, "other"), sample)
+
+
 def test_reload_takes_over_what_is_no_difference(stack: Stack, label_side: StoreSide) -> None:
     start(stack)
     assert label_side.reload().text == "test"

@@ -10,6 +10,7 @@ import psutil
 
 from common.bus import LOCK_SUFFIX, Endpoints, clear_dead, holder_of
 from common.frames import sweep
+from services.store.choice import CHOICE_FILE
 from tools.stack.programs import PID_FILE, SOCKET_FILE
 
 _PID = re.compile(r"\(pid (\d+)\)$")
@@ -82,6 +83,8 @@ def _clear_supervisor(folder: Path) -> list[str]:
         if left.exists():
             left.unlink(missing_ok=True)
             cleared.append(left.name)
+    # No remains of a crash, so nothing to tell: the session that was chosen for the stack's life, which is over.
+    (folder / CHOICE_FILE).unlink(missing_ok=True)
     return cleared
 
 

@@ -16,6 +16,7 @@ from common.bus import Endpoints, NameLock
 from common.config import Rig, load_rig
 from common.errors import EXIT_NAME_TAKEN, ConfigError, NameTakenError
 from common.frames import FrameWriter, segment_name, shm_folder
+from services.store.choice import CHOICE_FILE
 from tools.stack.down import stop
 from tools.stack.leftovers import clear, living
 from tools.stack.programs import ROOT, programs, supervisor_config
@@ -289,6 +290,12 @@ def test_only_what_the_dead_left_is_cleared(endpoints: Endpoints) -> None:
         if holder.poll() is None:
             holder.kill()
             holder.wait(10)
+
+
+def test_the_session_that_was_chosen_is_forgotten_with_its_stack(endpoints: Endpoints) -> None:
+    (endpoints.run_dir / CHOICE_FILE).write_bytes(b"{}")
+    assert clear(endpoints) == ()
+    assert list(endpoints.run_dir.iterdir()) == []
 
 
 def test_a_socket_without_a_lock_is_nobody_s(endpoints: Endpoints) -> None:
