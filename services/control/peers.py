@@ -19,6 +19,7 @@ class Peers:
     def __init__(self, endpoints: Endpoints, labels: int) -> None:
         addresses = {STORE: endpoints.orders_store}
         addresses |= {f"label.{instance}": endpoints.orders_label(instance) for instance in range(labels)}
+        self._answers: list[Answer] = []
         self._clients = {peer: OrderClient(address, CONTROL, window=_WINDOW) for peer, address in addresses.items()}
 
     @property
@@ -35,7 +36,14 @@ class Peers:
         """A service's heartbeat: a peer in a new life is given again what it hasn't answered."""
         client = self._clients.get(state.service)
         if client is not None:
+            # What it has answered meanwhile is no longer asked: first its answers, then the count of what lacks one.
+            self._answers += client.receive()
             client.peer_seen(state.boot)
+
+    @property
+    def resent(self) -> int:
+        """Orders that were sent again."""
+        return sum(client.resent for client in self._clients.values())
 
     def send(self, peer: str, order: Order, *, lasting: bool = False) -> None:
         """Send at once; raises RefusedError ``label_down`` or ``store_down``, and sends nothing, if the peer is silent.
@@ -57,7 +65,8 @@ class Peers:
 
     def receive(self) -> list[Answer]:
         """The answers that are there, without waiting."""
-        return [answer for client in self._clients.values() for answer in client.receive()]
+        answers, self._answers = self._answers, []
+        return answers + [answer for client in self._clients.values() for answer in client.receive()]
 
     def close(self) -> None:
         """Close at once; idempotent."""
