@@ -94,6 +94,11 @@ class SampleSlots:
         """The segment's name."""
         return self._segment.name
 
+    @property
+    def abandoned(self) -> bool:
+        """Whether the owner has removed the ring, or it was swept after its death: nothing new comes in it."""
+        return self._segment.abandoned
+
     def view(self, slot: int) -> Pictures:
         """The arrays of a slot; raises FrameLostError for a slot that the ring doesn't have."""
         if not 0 <= slot < self.layout.slots:

@@ -107,6 +107,11 @@ class Segment:
         """Whether ``close`` was called."""
         return self._buffer is None
 
+    @property
+    def abandoned(self) -> bool:
+        """Whether its file was removed, so that only who has it mapped keeps its memory; False after ``close``."""
+        return self._descriptor is not None and os.fstat(self._descriptor).st_nlink == 0
+
     def close(self) -> None:
         """Unmap; the owner also removes the name. May be called again.
 

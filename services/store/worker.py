@@ -7,6 +7,7 @@ import os
 import signal
 import time
 from collections import OrderedDict
+from collections.abc import Container
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -57,15 +58,18 @@ def prepare(parent: int) -> None:
     cv2.setNumThreads(1)
 
 
-def write(job: WriteJob, reserve: int, delay_s: float) -> Written:
-    """Write one sample, leaving ``reserve`` bytes free; expected failures come back as ``error``."""
+def write(job: WriteJob, reserve: int, delay_s: float, needed: Container[str]) -> Written:
+    """Write one sample, leaving ``reserve`` bytes free; expected failures come back as ``error``.
+
+    ``needed``: the rings of all jobs that are still to be done.
+    """
     if delay_s:
         time.sleep(delay_s)  # a slow disk, for tests (TAGMILL_STORE_DELAY_MS)
     try:
         with FolderLock(job.session / LABELS, shared=True):
             if is_stored(job.session, job.label.sample):
                 return Written()
-            pictures = pictures_for(job.label, _slots(job.ring).view(job.slot))
+            pictures = pictures_for(job.label, _rings.slots(job.ring, needed).view(job.slot))
             return Written(bytes=write_sample(job.session, job.label, pictures, reserve))
     except FrameLostError as error:
         return Written(error=ErrorInfo(code=PIXELS_GONE, message=f"{job.label.sample} is lost: {error.message}"))
@@ -75,14 +79,36 @@ def write(job: WriteJob, reserve: int, delay_s: float) -> Written:
         return Written(error=explain(error, job.session))
 
 
-_rings: OrderedDict[str, SampleSlots] = OrderedDict()
+class Rings:
+    """The sample rings that this process has mapped; a ring's name is never used twice (it has a boot id)."""
+
+    def __init__(self) -> None:
+        self._mapped: OrderedDict[str, SampleSlots] = OrderedDict()
+
+    @property
+    def names(self) -> tuple[str, ...]:
+        """The mapped ones, the one that was used longest ago first."""
+        return tuple(self._mapped)
+
+    def slots(self, ring: str, needed: Container[str]) -> SampleSlots:
+        """The mapped ring; raises FrameLostError if it is gone.
+
+        A new one takes the place of those that are gone, whose memory nobody else holds any more: unless a job
+        that is still to come names them (``needed``).
+        """
+        if ring not in self._mapped:
+            for name in [name for name, slots in self._mapped.items() if slots.abandoned and name not in needed]:
+                self._mapped.pop(name).close()
+            self._mapped[ring] = SampleSlots(ring)
+            while len(self._mapped) > _MOST_RINGS:
+                self._mapped.popitem(last=False)[1].close()
+        self._mapped.move_to_end(ring)
+        return self._mapped[ring]
+
+    def close(self) -> None:
+        """Unmap all."""
+        while self._mapped:
+            self._mapped.popitem()[1].close()
 
 
-def _slots(ring: str) -> SampleSlots:
-    """The mapped ring; raises FrameLostError if it is gone. A ring's name is never used twice (it has a boot id)."""
-    if ring not in _rings:
-        _rings[ring] = SampleSlots(ring)
-        while len(_rings) > _MOST_RINGS:
-            _rings.popitem(last=False)[1].close()
-    _rings.move_to_end(ring)
-    return _rings[ring]
+_rings = Rings()

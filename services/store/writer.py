@@ -91,8 +91,9 @@ class Writer:
         while self._waiting and len(self._tasks) < self._workers + _AHEAD and not self._rebuilding:
             task = self._waiting.popleft()
             task.attempts += 1
+            needed = frozenset(other.job.ring for other in (*self._waiting, *self._tasks.values()))
             try:
-                future = self._pool.submit(write, task.job, self._reserve, self._delay_s)
+                future = self._pool.submit(write, task.job, self._reserve, self._delay_s, needed)
             except BrokenProcessPool:
                 self._again(task)
                 continue
