@@ -87,7 +87,8 @@ class StoreService:
     def _hear_cameras(self) -> None:
         for received in self._subscriber.receive():
             state = received.message
-            if isinstance(state, CameraState):
+            # Without a ring its process is just opening the camera, and doesn't know yet what that is.
+            if isinstance(state, CameraState) and state.ring:
                 self._desk.cameras[state.camera.name] = state
                 self._check_camera(state)
 

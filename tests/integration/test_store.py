@@ -205,6 +205,17 @@ def test_a_camera_is_in_the_session_before_its_first_sample_is_answered(stack: S
         assert label_side.answer_to(label_side.store(3, camera=camera_label("cam1"))).error is None
         assert label_side.answer_to(label_side.store(3, camera=moved.model_copy(update={"name": "cam2"}))).error is None
 
+        opening = state.model_copy(update={"camera": moved, "phase": "opening", "ring": ""})
+        further = state.model_copy(update={"camera": camera_label("cam3")})
+
+        def told_opening(received: object) -> bool:
+            publisher.publish(CAMERA, ("cam1",), opening)
+            publisher.publish(CAMERA, ("cam3",), further)
+            return "cam3" in getattr(getattr(received, "message", None), "cameras", ())
+
+        heard = listener.wait_for(told_opening, why="the store to know cam3, and so cam1's placeholder")
+        assert heard.message.warnings == ()  # type: ignore[attr-defined]
+
         state = state.model_copy(update={"camera": moved})
         warned = listener.wait_for(
             lambda received: told(received) and bool(getattr(received.message, "warnings", ())), why="a warning"
