@@ -51,7 +51,7 @@ COARSE_PIXELS = 200
 MAX_ALONG = 3
 """At how many places along an edge of one cell, at most."""
 MIN_PIXELS = 60
-CORRELATED = 1.15
+CORRELATED = 1.05
 """What the model can't explain is alike in neighbouring pixels: corners scatter by this more than from white noise."""
 FLOOR_PX = 0.004
 """Corners of noiseless rendered markers scatter by this."""
