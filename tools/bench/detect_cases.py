@@ -24,7 +24,7 @@ EMPTY = "marker-free"
 SEARCHED = "apriltag_36h11"
 PICTURES = {".jpg", ".jpeg", ".png"}
 LOOK_ALIKES = ("apriltag_25h9", "apriltag_36h10", "aruco_mip_36h12", "6x6_250", "5x5_1000", "apriltag_16h5")
-CROP = (480, 320)
+CROP = (320, 240)
 VIDEO, VIDEO_STEP = "wpical/charuco_12x8.mp4", 12
 CHESSBOARDS = ("opencv/chess", "boofcv/sony_chess", "boofcv/kinect_basket")
 

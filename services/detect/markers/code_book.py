@@ -64,13 +64,15 @@ class CodeBook:
         rough = self._correlations(levels)
         length = min(SHORT_LIST, rough.shape[1])
         listed = np.argpartition(rough, -length, axis=1)[:, -length:]
-        scores = np.einsum("bklc,kc->bkl", self._blurred[:, listed], levels).max(axis=0)
+        scores = np.einsum("bklc,kc->kbl", self._blurred[:, listed], levels)
         row = np.arange(len(levels))
-        first = scores.argmax(axis=1)
-        best = scores[row, first]
+        blur, first = np.divmod(scores.reshape(len(levels), -1).argmax(axis=1), length)
+        best = scores[row, blur, first]
         pattern = listed[row, first]
-        scores[row, first] = -1.0
-        sure = (best >= self.least_score) & (best - scores.max(axis=1) >= self.least_lead)
+        # All patterns of a picture are blurred alike: the next one is sought in the best one's blur.
+        alike = scores[row, blur]
+        alike[row, first] = -1.0
+        sure = (best >= self.least_score) & (best - alike.max(axis=1) >= self.least_lead)
         return Match(pattern // 4, pattern % 4, best, sure)
 
     def _correlations(self, levels: Array) -> Array:
