@@ -1,7 +1,16 @@
 """The dataset on disk: names, ``session.json``, durable writing, reading. One package for store and tools."""
 
 from common.dataset.durable import is_temporary, sync_folder, write_bytes, write_json
-from common.dataset.layout import FOLDERS, LABELS, PICTURES, SESSION_FILE, PictureKind, label_path, picture_path
+from common.dataset.layout import (
+    FOLDERS,
+    LABELS,
+    PICTURES,
+    RECORDS_FILE,
+    SESSION_FILE,
+    PictureKind,
+    label_path,
+    picture_path,
+)
 from common.dataset.reader import SessionReader
 from common.dataset.schema import SCHEMA_PAGE, label_schema, label_schema_text
 from common.dataset.session import SESSION_SCHEMA, SessionCamera, SessionFile, StackLife, read_session
@@ -10,6 +19,7 @@ __all__ = [
     "FOLDERS",
     "LABELS",
     "PICTURES",
+    "RECORDS_FILE",
     "SCHEMA_PAGE",
     "SESSION_FILE",
     "SESSION_SCHEMA",

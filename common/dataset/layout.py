@@ -2,7 +2,7 @@
 
 ::
 
-    <root>/<session>/session.json
+    <root>/<session>/session.json, records.jsonl
                      rgb/rgb_<sample>.png            depth/depth_<sample>.png (uint16)
                      label/label_<sample>.json       original/original_<sample>.png (with keep_original)
 """
@@ -17,6 +17,7 @@ from common.ids import is_sample_name
 PictureKind = Literal["rgb", "depth", "original"]
 
 SESSION_FILE = "session.json"
+RECORDS_FILE = "records.jsonl"
 LABELS = "label"
 PICTURES: tuple[PictureKind, ...] = ("rgb", "depth", "original")
 FOLDERS: tuple[str, ...] = (*PICTURES, LABELS)

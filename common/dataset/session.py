@@ -10,7 +10,7 @@ from pydantic import Field, ValidationError
 
 from common.dataset.layout import SESSION_FILE
 from common.errors import DatasetError
-from common.labels import CameraLabel, Ledger, Part
+from common.labels import CameraLabel, CameraLedger, Ledger, Part
 
 P = TypeVar("P", bound=Part)
 
@@ -47,7 +47,10 @@ class RecordingProgress(Part):
 
 
 class SessionFile(Part):
-    """The whole of ``session.json``. ``cameras`` holds every description a camera had, the newest last."""
+    """The whole of ``session.json``. ``cameras`` holds every description a camera had, the newest last.
+
+    ``records`` sums up, by camera, the single requests, whose ledgers are the lines of ``records.jsonl``.
+    """
 
     schema_: Annotated[Literal["tagmill.session/1"], Field(alias="schema")] = SESSION_SCHEMA
     name: str
@@ -57,6 +60,7 @@ class SessionFile(Part):
     cameras: dict[str, tuple[SessionCamera, ...]] = {}
     recordings: dict[str, Ledger] = {}
     progress: dict[str, RecordingProgress] = {}
+    records: dict[str, CameraLedger] = {}
 
     def to_bytes(self) -> bytes:
         """As it is written to the disk (pretty printed UTF-8 JSON)."""

@@ -29,6 +29,7 @@ from common.messages import (
     StoreOrder,
 )
 from common.service.meters import Rate, Tally
+from services.store.accounts import Accounts, Give
 from services.store.background import DiskThread
 from services.store.choice import Choice, remember
 from services.store.keeper import Phase, SessionKeeper
@@ -36,8 +37,6 @@ from services.store.orders import StoreOrders, fault
 from services.store.sessions import SESSION_DIFFERS, Wanted
 from services.store.worker import WriteJob, Written
 from services.store.writer import Writer
-
-Give = Callable[[Return, Answer], None]
 
 
 class OrderDesk:
@@ -53,6 +52,7 @@ class OrderDesk:
         self._keeper, self._writer, self._disk, self._wanted, self._give_answer = keeper, writer, disk, wanted, answer
         self._run_dir = run_dir
         self._remembering = 0
+        self._accounts = Accounts(keeper, disk, self._answer, self._refuse)
         self._orders = StoreOrders()
         self._parked: deque[tuple[Return, Order]] = deque()
         self._switches: deque[Callable[[], None]] = deque()
@@ -71,7 +71,7 @@ class OrderDesk:
     @property
     def idle(self) -> bool:
         """Whether every order has its answer."""
-        return not (self.backlog or self._switches or self._remembering) and self._keeper.settled
+        return not (self.backlog or self._switches or self._remembering or self._accounts.busy) and self._keeper.settled
 
     def open(self) -> None:
         """Begin to open the rig's session."""
@@ -102,7 +102,7 @@ class OrderDesk:
                 case StoreOrder():
                     self._store(return_, order)
                 case LedgerOrder():
-                    self._ledger(return_, order)
+                    self._accounts.account(return_, order)
                 case LedgerQuery():
                     self._query(return_, order)
                 case SessionOrder():
@@ -121,12 +121,6 @@ class OrderDesk:
     def _refuse(self, return_: Return, order: Order, error: ErrorInfo) -> None:
         self.refused.add(error.code)
         self._answer(return_, Answer(key=order.key, error=error))
-
-    def _require_session(self) -> None:
-        refusal = self._keeper.refusal
-        if self._keeper.book is None:
-            assert refusal is not None
-            raise RefusedError(refusal.message, code=refusal.code)
 
     # --- samples ------------------------------------------------------------------------------------------
 
@@ -192,37 +186,14 @@ class OrderDesk:
         for return_ in self._orders.finish(order, answer):
             self._answer(return_, answer)
         for return_, query in self._orders.due():
-            self._answer_query(return_, query)
+            self._accounts.query(return_, query)
 
     # --- the ledger ---------------------------------------------------------------------------------------
-
-    def _ledger(self, return_: Return, order: LedgerOrder) -> None:
-        self._require_session()
-        book = self._keeper.book
-        assert book is not None
-        book.merge(order, wall_ns())
-
-        def answer(error: ErrorInfo | None) -> None:
-            ledgers = () if error else book.query(order.spec.recording)
-            self._answer(return_, Answer(key=order.key, error=error, ledgers=ledgers))
-
-        self._keeper.when_durable(book.revision, answer, urgent=order.ended)
 
     def _query(self, return_: Return, order: LedgerQuery) -> None:
         # Who asks for all takes recordings up again after a crash: samples still under way must be counted by then.
         if order.recording is not None or not self._orders.hold(return_, order):
-            self._answer_query(return_, order)
-
-    def _answer_query(self, return_: Return, order: LedgerQuery) -> None:
-        try:
-            self._require_session()
-            book = self._keeper.book
-            assert book is not None
-            answer = Answer(key=order.key, ledgers=book.query(order.recording), text=book.name)
-        except RefusedError as error:
-            self._refuse(return_, order, _info(error))
-        else:
-            self._answer(return_, answer)
+            self._accounts.query(return_, order)
 
     # --- sessions -----------------------------------------------------------------------------------------
 

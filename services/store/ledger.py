@@ -14,7 +14,8 @@ from common.clock import iso_utc
 from common.dataset.session import RecordingProgress, SessionCamera, SessionFile, StackLife
 from common.errors import RefusedError
 from common.labels import CameraLabel, CameraLedger, Ledger, RecordingSpec
-from common.messages import LedgerOrder
+from common.messages import ErrorInfo, LedgerOrder
+from services.store.records import summed
 
 UNKNOWN_RECORDING = "no_recording"
 LABEL_RESTART = "label_restart"
@@ -32,6 +33,7 @@ class Book:
         self._recordings = dict(file.recordings)
         self._progress = dict(file.progress)
         self._recorded = {recording: Counter(counts) for recording, counts in recorded.items()}
+        self._records = dict(file.records)
         self._life = life
         self._met: dict[str, int] = {}
         self.revision = 0
@@ -53,6 +55,7 @@ class Book:
                 "cameras": dict(self._cameras),
                 "recordings": {name: self._with_counts(ledger) for name, ledger in self._recordings.items()},
                 "progress": dict(self._progress),
+                "records": self._records,
             }
         )
 
@@ -122,13 +125,39 @@ class Book:
         self.revision += 1
         return self._with_counts(ledger)
 
+    def entry(self, order: LedgerOrder, now_wall_ns: int) -> Ledger:
+        """The ledger of a camera's single request that is over; it has its place in ``records.jsonl``, not here."""
+        counted = self._recorded.get(order.spec.recording, Counter())[order.camera]
+        return Ledger(
+            spec=order.spec,
+            phase="ended",
+            ended_at=iso_utc(now_wall_ns),
+            why=order.why,
+            cameras={order.camera: _with_count(order.account, counted)},
+        )
+
+    def count_entry(self, entry: Ledger) -> None:
+        """Such an entry was written: only its sum stays."""
+        self._records = summed(self._records, entry)
+        counted = self._recorded.get(entry.spec.recording, Counter())
+        for camera in entry.cameras:
+            counted.pop(camera, None)
+        if not counted:
+            self._recorded.pop(entry.spec.recording, None)
+        self.revision += 1
+
+    def knows(self, recording: str) -> bool:
+        """Whether the recording's ledger is in ``session.json``."""
+        return recording in self._recordings
+
     def query(self, recording: str | None) -> tuple[Ledger, ...]:
         """One recording's ledger, or those of all that run; raises RefusedError for an unknown one."""
         if recording is None:
             return tuple(self._with_counts(self._recordings[name]) for name in self.running())
         ledger = self._recordings.get(recording)
         if ledger is None:
-            raise RefusedError(f"session {self.name} has no recording '{recording}'", code=UNKNOWN_RECORDING)
+            unknown = no_such(self.name, recording)
+            raise RefusedError(unknown.message, code=unknown.code)
         return (self._with_counts(ledger),)
 
     def running(self) -> tuple[str, ...]:
@@ -168,6 +197,11 @@ class Book:
             for camera in {**ledger.cameras, **counted}
         }
         return ledger.model_copy(update={"cameras": cameras})
+
+
+def no_such(session: str, recording: str) -> ErrorInfo:
+    """The refusal for an unknown recording."""
+    return ErrorInfo(code=UNKNOWN_RECORDING, message=f"session {session} has no recording '{recording}'")
 
 
 def _with_count(account: CameraLedger, counted: int) -> CameraLedger:

@@ -18,6 +18,7 @@ from common.errors import RefusedError
 from services.store.disk import require_room
 from services.store.ledger import Book
 from services.store.locks import FolderLock
+from services.store.records import Records, summed
 from services.store.recovery import Inventory, recover
 
 SESSION_DIFFERS = "session_differs"
@@ -59,6 +60,7 @@ class OpenSession:
     lock: FolderLock
     interrupted: tuple[str, ...]
     created: bool
+    records: Records
 
 
 def open_session(wanted: Wanted, reserve: int, held: OpenSession | None = None) -> OpenSession:
@@ -106,14 +108,32 @@ def _open_locked(wanted: Wanted, folder: Path, lock: FolderLock, reserve: int) -
         inventory = recover(folder)
     plain = wanted.rig.as_plain()
     file = known or SessionFile(name=folder.name, created_at=iso_utc(wall_ns()), rig=plain, versions=_versions())
-    book = Book(file, inventory.recorded, wanted.life)
+    records = Records(folder)
+    file = _without_requests(file, records)
+    open_counts = {recording: counts for recording, counts in inventory.recorded.items() if recording not in records}
+    book = Book(file, open_counts, wanted.life)
     book.take_rig(plain)
     interrupted = book.close_earlier(wall_ns())
-    if known is None or book.revision:
+    if file != known or book.revision:
         if known is None:
             require_room(folder, 0, reserve)
         write_bytes(folder / SESSION_FILE, book.snapshot().to_bytes())
-    return OpenSession(folder, book, inventory, lock, interrupted, created=known is None)
+    return OpenSession(folder, book, inventory, lock, interrupted, known is None, records)
+
+
+def _without_requests(file: SessionFile, records: Records) -> SessionFile:
+    """``session.json`` with the sums of the requests; those that an earlier tagmill kept in it itself move out."""
+    over = {
+        name: ledger
+        for name, ledger in file.recordings.items()
+        if ledger.spec.mode == "record" and ledger.phase in ("ended", "interrupted")
+    }
+    totals = records.totals
+    for entry in records.append(over.values()):
+        totals = summed(totals, entry)
+    kept = {name: ledger for name, ledger in file.recordings.items() if name not in over}
+    progress = {name: known for name, known in file.progress.items() if name in kept}
+    return file.model_copy(update={"recordings": kept, "progress": progress, "records": totals})
 
 
 def _require_same_rig(folder: Path, known: Mapping[str, Any], rig: Rig) -> None:

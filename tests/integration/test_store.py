@@ -152,6 +152,36 @@ def test_who_asks_for_all_ledgers_is_told_of_the_samples_that_are_under_way(
     check_whole(session_of(stack), *keys)
 
 
+def test_single_requests_go_to_a_file_of_their_own(stack: Stack, label_side: StoreSide) -> None:
+    store = start(stack)
+    requests = [spec(f"rec-{number}").model_copy(update={"mode": "record"}) for number in range(40)]
+    label_side.answer_to(label_side.store(1, recording="rec-7"))
+    keys = [
+        label_side.ledger(request, CameraLedger(captured=3, refused={"no_object": 2}, pending=1), ended=True)
+        for request in requests
+    ]
+    for key in keys:
+        assert label_side.answer_to(key).error is None
+    assert label_side.answer_to(keys[7]).ledgers[0].cameras["cam0"].recorded == 1
+    repeated = label_side.ledger(requests[7], CameraLedger(captured=3, refused={"no_object": 2}), ended=True)
+    assert label_side.answer_to(repeated).error is None
+    lines = session_of(stack) / "records.jsonl"
+    assert len(lines.read_bytes().splitlines()) == 40
+    assert label_side.session("test").text == "test", "and all is written"
+    store.kill()
+    with lines.open("ab") as file:
+        file.write(b'{"spec": {"recording": "rec-torn"')
+
+    start(stack)
+    (found,) = label_side.query("rec-7").ledgers
+    assert (found.phase, found.cameras["cam0"].recorded) == ("ended", 1)
+    assert len(lines.read_bytes().splitlines()) == 40
+    file = read_session(session_of(stack))
+    assert file.recordings == {}
+    assert (file.records["cam0"].captured, file.records["cam0"].refused) == (120, {"no_object": 80})
+    assert label_side.query("rec-torn").error is not None
+
+
 def test_a_recording_of_an_earlier_stack_is_closed_as_interrupted(stack: Stack, label_side: StoreSide) -> None:
     store = start(stack)
     label_side.answer_to(label_side.store(1))
