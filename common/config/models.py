@@ -134,9 +134,12 @@ class PoseConfig(Section):
 
 
 class InpaintConfig(Section):
-    """How markers are erased. ``margin``: beyond the white border, as a share of the marker's size."""
+    """How markers are erased. ``margin``: beyond the white border, as a share of the marker's size.
 
-    method: Literal["telea", "ns"] = "telea"
+    ``radius_px`` belongs to ``telea`` and ``ns``.
+    """
+
+    method: Literal["plane", "smooth", "telea", "ns"] = "plane"
     margin: Annotated[float, Field(ge=0, le=2)] = 0.15
     radius_px: Annotated[float, Field(gt=0, le=50)] = 3.0
 

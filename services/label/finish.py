@@ -22,9 +22,10 @@ from common.geometry import CameraModel
 from common.labels import CameraLabel, Erased, LeftOut, Missing, ObjectLabel
 from common.log import get
 from common.messages import DetectedMarker
-from services.label.inpaint import erase, regions
+from services.label.inpaint import erase
 from services.label.labelling import Around, Labeller
 from services.label.occlusion import DepthPicture
+from services.label.regions import regions_on_sides
 
 _NICE = 10
 _PR_SET_PDEATHSIG = 1
@@ -172,8 +173,10 @@ def _finish(job: Job) -> Finished:
     if pixels.depth is not None and job.depth_unit_mm is not None:
         depth = DepthPicture(pixels.depth, job.depth_unit_mm)
     labelled = _worker.labeller.label_once(job.markers, camera, bgr, job.around, depth)
-    polygons = regions(labelled.objects, labelled.left_out, _worker.labeller.boxes, camera, margin=options.margin)
-    erase(bgr, polygons, method=options.method, radius_px=options.radius_px)
+    boxes = _worker.labeller.boxes
+    found = regions_on_sides(labelled.objects, labelled.left_out, boxes, camera, margin=options.margin)
+    erase(bgr, found, method=options.method, radius_px=options.radius_px)
+    polygons = tuple(region.polygon for region in found)
     erased = Erased(method=options.method, margin=f"{options.margin:g} of the marker, at least 3 px", polygons=polygons)
     return Finished(
         objects=labelled.objects,

@@ -3,100 +3,56 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
 
 import cv2
 import numpy as np
 from numpy.typing import NDArray
 
 from common.labels import ErasedPolygon
+from services.label.fill import fill
+from services.label.masks import Crop, crops, mask_of
 from services.label.regions import regions
+from services.label.surfaces import Region
 
-__all__ = ["Crop", "crops", "erase", "mask_of", "regions"]
+__all__ = ["METHODS", "Crop", "Region", "crops", "erase", "mask_of", "regions"]
 
 Picture = NDArray[np.uint8]
-Mask = NDArray[np.uint8]
+Keep = NDArray[np.bool_]
 
-METHODS = {"telea": cv2.INPAINT_TELEA, "ns": cv2.INPAINT_NS}
-_FRACTION_BITS = 4
-
-
-@dataclass(frozen=True, slots=True)
-class Crop:
-    """A rectangle of the picture, end exclusive."""
-
-    left: int
-    top: int
-    right: int
-    bottom: int
-
-    def overlaps(self, other: Crop) -> bool:
-        """Whether the two share a pixel."""
-        return (
-            self.left < other.right and other.left < self.right and self.top < other.bottom and other.top < self.bottom
-        )
-
-    def union(self, other: Crop) -> Crop:
-        """The smallest crop around both."""
-        return Crop(
-            min(self.left, other.left),
-            min(self.top, other.top),
-            max(self.right, other.right),
-            max(self.bottom, other.bottom),
-        )
+_CV2 = {"telea": cv2.INPAINT_TELEA, "ns": cv2.INPAINT_NS}
+METHODS = ("plane", "smooth", *_CV2)
+"""``plane``: the side carried on underneath, with the picture's grain; ``smooth``: the same without grain;
+``telea`` (Telea 2004) and ``ns`` (Bertalmio 2001): from what lies within ``radius_px``, whatever it belongs to."""
 
 
-def erase(bgr: Picture, polygons: Sequence[ErasedPolygon], method: str = "telea", radius_px: float = 3.0) -> None:
+def erase(
+    bgr: Picture,
+    polygons: Sequence[ErasedPolygon | Region],
+    method: str = "plane",
+    radius_px: float = 3.0,
+    keep: Keep | None = None,
+) -> None:
     """Fill all polygons of a picture (H, W, 3) in place; pixels outside of them stay as they are.
 
-    ``method``: ``telea`` (Telea 2004) or ``ns`` (Bertalmio 2001); a pixel is filled from what lies within
-    ``radius_px``. Works on crops of merged regions, which gives the pixels of a fill of the whole picture for
-    less. Raises ValueError for an unknown method.
+    A ``Region`` says which side its polygon lies on, which ``plane`` and ``smooth`` make use of. Pixels in
+    ``keep`` (H, W) are neither changed nor looked at. Raises ValueError for an unknown method.
     """
     if method not in METHODS:
         raise ValueError(f"there is no fill method {method!r}; known are {', '.join(METHODS)}")
+    placed = [item if isinstance(item, Region) else Region(item) for item in polygons]
+    if method in _CV2:
+        _by_cv2(bgr, [item.polygon for item in placed], _CV2[method], radius_px, keep)
+    elif placed:
+        fill(bgr, placed, keep=keep, with_grain=method == "plane")
+
+
+def _by_cv2(bgr: Picture, polygons: Sequence[ErasedPolygon], flag: int, radius_px: float, keep: Keep | None) -> None:
+    """On crops of merged regions, which gives the pixels of a fill of the whole picture for less."""
     height, width = bgr.shape[:2]
     for crop in crops(polygons, width, height, radius_px):
-        part = bgr[crop.top : crop.bottom, crop.left : crop.right]
         mask = mask_of(polygons, crop)
         if mask.any():
-            filled = cv2.inpaint(np.ascontiguousarray(part), mask, radius_px, METHODS[method])
-            np.copyto(part, filled, where=mask[..., None] > 0, casting="unsafe")
-
-
-def mask_of(polygons: Sequence[ErasedPolygon], crop: Crop) -> Mask:
-    """The erased pixels (255) of a crop: every pixel that a polygon touches."""
-    mask: Mask = np.zeros((crop.bottom - crop.top, crop.right - crop.left), dtype=np.uint8)
-    scale = 1 << _FRACTION_BITS
-    for polygon in polygons:
-        shifted = (np.array(polygon.polygon) - (crop.left, crop.top)) * scale
-        cv2.fillPoly(mask, [np.round(shifted).astype(np.int32)], 255, cv2.LINE_8, _FRACTION_BITS)
-    return mask
-
-
-def crops(polygons: Sequence[ErasedPolygon], width: int, height: int, radius_px: float) -> list[Crop]:
-    """Disjoint crops that hold all polygons and, around each, all that its fill may look at."""
-    # Twice the radius: the fill looks that far around a pixel, at pixels whose own gradients it takes.
-    pad = 2 * int(np.ceil(radius_px)) + 4
-    found: list[Crop] = []
-    for polygon in polygons:
-        corners = np.array(polygon.polygon)
-        low, high = np.floor(corners.min(axis=0)).astype(int), np.ceil(corners.max(axis=0)).astype(int)
-        crop = Crop(
-            max(int(low[0]) - pad, 0),
-            max(int(low[1]) - pad, 0),
-            min(int(high[0]) + pad + 1, width),
-            min(int(high[1]) + pad + 1, height),
-        )
-        if crop.left < crop.right and crop.top < crop.bottom:
-            found = _merged(found, crop)
-    return found
-
-
-def _merged(found: list[Crop], crop: Crop) -> list[Crop]:
-    """Add a crop; whatever it touches becomes one with it, and that may touch further ones."""
-    while touching := [other for other in found if crop.overlaps(other)]:
-        found = [other for other in found if other not in touching]
-        for other in touching:
-            crop = crop.union(other)
-    return [*found, crop]
+            hole = mask > 0 if keep is None else (mask > 0) & ~keep[crop.slices]
+            # What is kept belongs to something else: it is filled as well, so that it feeds nothing, and put back.
+            filled = cv2.inpaint(np.ascontiguousarray(bgr[crop.slices]), mask, radius_px, flag)
+            np.copyto(bgr[crop.slices], filled, where=hole[..., None], casting="unsafe")

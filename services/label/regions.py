@@ -7,6 +7,7 @@ so every marker is widened in its own plane to its border plus a margin.
 from __future__ import annotations
 
 from collections.abc import Sequence
+from dataclasses import dataclass
 from typing import Literal
 
 import cv2
@@ -14,13 +15,17 @@ import numpy as np
 from numpy.typing import NDArray
 
 from common.geometry import Box, BoxSide, CameraModel, MarkerOnSide, Pose
+from common.geometry.camera import NEAR_MM
 from common.labels import ErasedPolygon, LeftOut, ObjectLabel, Quad
-from services.label.visibility import faces_camera, marker_hidden
+from services.label.surfaces import Region, Surface, surface_of_corners, surface_of_pose
+from services.label.visibility import marker_angle, marker_hidden
 from services.label.windows import clip_near, points
 
 Array = NDArray[np.float64]
 
 MIN_MARGIN_PX = 3.0
+GRAZING_DEG = 91.0
+"""A side seen at a grazing angle may by its pose be turned away and yet show its marker as a thin line."""
 UNKNOWN_BORDER = 0.2
 """Border of a marker that the rig file doesn't know, as a share of its size: a little over one cell."""
 _UNIT = np.array([[-0.5, 0.5], [0.5, 0.5], [0.5, -0.5], [-0.5, -0.5]])
@@ -36,26 +41,82 @@ def regions(
     camera: CameraModel,
     margin: float = 0.15,
 ) -> tuple[ErasedPolygon, ...]:
-    """The polygons to erase in a labelled frame; cut to the picture, so some may have more than four points.
+    """The polygons of ``regions_on_sides``."""
+    return tuple(region.polygon for region in regions_on_sides(objects, left_out, boxes, camera, margin))
+
+
+def regions_on_sides(
+    objects: Sequence[ObjectLabel],
+    left_out: Sequence[LeftOut],
+    boxes: Sequence[Box],
+    camera: CameraModel,
+    margin: float = 0.15,
+) -> tuple[Region, ...]:
+    """What to erase in a labelled frame, and on which side; cut to the picture, so some have over four points.
 
     ``margin`` goes beyond the white border, as a share of the marker's size, and is at least 3 px. Every detected
     marker is erased where it was detected, known or not, and all copies of an id seen twice; every configured
     marker of an object with a pose also where the pose puts it, detected or not, unless its side is turned away
     or another object hides it. With two poses left open both count.
     """
-    polygons: list[ErasedPolygon] = []
+    posed = _posed_markers(objects, boxes, camera)
+    found: list[Region] = []
     sizes = {marker.id: marker for box in boxes for _, marker in box.markers()}
     for id_, corners in _detected(objects, left_out):
         marker = sizes.get(id_)
         border = UNKNOWN_BORDER if marker is None else marker.border_mm / marker.size_mm
-        polygons += _cut(id_, "detected", _outline_of_corners(corners, border, margin, camera), camera)
+        surface = _surface_at(id_, corners, posed)
+        outline = _outline_of_corners(corners, border, margin, camera, surface)
+        found += [Region(cut, surface) for cut in _cut(id_, "detected", outline, camera)]
+    for placed in posed:
+        outline = _outline_of_pose(placed, margin, camera)
+        found += [Region(cut, placed.surface) for cut in _cut(placed.marker.id, "pose", outline, camera)]
+    return tuple(found)
+
+
+@dataclass(frozen=True, eq=False)
+class _Placed:
+    """A configured marker that the camera can see, where a pose puts it."""
+
+    box: Box
+    side: BoxSide
+    marker: MarkerOnSide
+    pose: Pose
+    surface: Surface | None
+    middle: Array
+
+
+def _posed_markers(objects: Sequence[ObjectLabel], boxes: Sequence[Box], camera: CameraModel) -> list[_Placed]:
     posed = _posed(objects, boxes)
+    found = []
     for box, pose in posed:
         others = [(other, at) for other, at in posed if other is not box]
         for side, marker in box.markers():
-            if faces_camera(pose, box, side, marker) and not marker_hidden(pose, box, side, marker, others):
-                polygons += _cut(marker.id, "pose", _outline_of_pose(box, side, marker, pose, margin, camera), camera)
-    return tuple(polygons)
+            if _may_show(pose, box, side, marker) and not marker_hidden(pose, box, side, marker, others):
+                surface = surface_of_pose(box, side, marker, pose, camera, others)
+                middle = camera.project(pose.apply(box.marker_pose(side, marker).translation))[0][0]
+                found.append(_Placed(box, side, marker, pose, surface, middle))
+    return found
+
+
+def _may_show(pose: Pose, box: Box, side: BoxSide, marker: MarkerOnSide) -> bool:
+    """Whether the camera may see the marker, given that the pose may be off by a few degrees."""
+    centre = pose.apply(box.marker_pose(side, marker).translation)[0]
+    return bool(centre[2] > NEAR_MM) and marker_angle(pose, box, side, marker) < GRAZING_DEG
+
+
+def _surface_at(id_: int, corners: Quad, posed: Sequence[_Placed]) -> Surface | None:
+    """The surface of a detected marker: its side's, if the pose puts the marker where it was detected."""
+    quad = np.array(corners, dtype=np.float64)
+    reach = float(np.ptp(quad, axis=0).max()) / 2
+    for placed in posed:
+        if (
+            placed.surface is not None
+            and placed.marker.id == id_
+            and np.linalg.norm(placed.middle - quad.mean(axis=0)) < reach
+        ):
+            return placed.surface
+    return surface_of_corners(corners)
 
 
 def _detected(objects: Sequence[ObjectLabel], left_out: Sequence[LeftOut]) -> list[tuple[int, Quad]]:
@@ -78,7 +139,9 @@ def _posed(objects: Sequence[ObjectLabel], boxes: Sequence[Box]) -> list[tuple[B
     return posed
 
 
-def _outline_of_corners(corners: Quad, border: float, margin: float, camera: CameraModel) -> Array | None:
+def _outline_of_corners(
+    corners: Quad, border: float, margin: float, camera: CameraModel, surface: Surface | None
+) -> Array | None:
     """Outline (N, 2) px of a marker widened in its plane; ``border`` and ``margin`` as shares of its size."""
     rays = camera.normalise(np.array(corners))
     if not np.isfinite(rays).all():
@@ -95,19 +158,19 @@ def _outline_of_corners(corners: Quad, border: float, margin: float, camera: Cam
         sign = np.sign(to_rays[2, 2])  # the marker's centre lies in front
         return _projected(xyz * sign * 1000.0, camera)
 
-    return _with_margin(at(border), at(border + margin))
+    return _with_margin(at(border), at(border + margin), surface)
 
 
-def _outline_of_pose(
-    box: Box, side: BoxSide, marker: MarkerOnSide, pose: Pose, margin: float, camera: CameraModel
-) -> Array | None:
+def _outline_of_pose(placed: _Placed, margin: float, camera: CameraModel) -> Array | None:
     """Outline (N, 2) px of a configured marker where the object's pose puts it."""
+    box, side, marker, pose = placed.box, placed.side, placed.marker, placed.pose
 
     def at(widen_mm: float) -> Array | None:
         corners = clip_near(pose.apply(box.marker_corners(side, marker, widen_mm)))
         return _projected(_sides(corners), camera) if len(corners) else None
 
-    return _with_margin(at(marker.border_mm), at(marker.border_mm + margin * marker.size_mm))
+    widened = at(marker.border_mm + margin * marker.size_mm)
+    return _with_margin(at(marker.border_mm), widened, placed.surface)
 
 
 def _sides(corners: Array) -> Array:
@@ -122,11 +185,18 @@ def _projected(xyz: Array, camera: CameraModel) -> Array | None:
     return pixels[front] if front.any() else None
 
 
-def _with_margin(border: Array | None, widened: Array | None) -> Array | None:
-    """The widened outline, nowhere nearer than 3 px to the border's."""
+def _with_margin(border: Array | None, widened: Array | None, surface: Surface | None) -> Array | None:
+    """The widened outline, nowhere nearer than 3 px to the border's; the rest of it stays on the marker's side.
+
+    No marker lies beyond the edge of its side, and an object's edge is what a detector learns it by.
+    """
     if border is None or widened is None:
         return None
-    return _hull(np.concatenate([widened, _grown(border, MIN_MARGIN_PX)]))
+    least = _grown(border, MIN_MARGIN_PX)
+    if surface is not None and surface.outline is not None:
+        area, within = cv2.intersectConvexConvex(_bounded(_hull(widened)), _bounded(_hull(surface.outline)))
+        widened = np.zeros((0, 2)) if area <= 0 else np.asarray(within, dtype=np.float64).reshape(-1, 2)
+    return _hull(np.concatenate([widened, least]))
 
 
 def _grown(outline: Array, by_px: float) -> Array:
@@ -136,8 +206,11 @@ def _grown(outline: Array, by_px: float) -> Array:
 
 def _hull(outline: Array) -> Array:
     # Far-off points would lose the near ones' digits in cv2's single precision; the picture is all that counts.
-    bounded = np.clip(outline, -1e5, 1e5)
-    return np.asarray(cv2.convexHull(bounded.astype(np.float32)), dtype=np.float64).reshape(-1, 2)
+    return np.asarray(cv2.convexHull(_bounded(outline)), dtype=np.float64).reshape(-1, 2)
+
+
+def _bounded(outline: Array) -> NDArray[np.float32]:
+    return np.clip(outline, -1e5, 1e5).astype(np.float32)
 
 
 def _cut(

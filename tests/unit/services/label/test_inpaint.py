@@ -70,7 +70,7 @@ def test_nothing_to_erase_changes_nothing():
 
 
 def test_an_unknown_method_is_named():
-    with pytest.raises(ValueError, match="'magic'; known are telea, ns"):
+    with pytest.raises(ValueError, match="'magic'; known are plane, smooth, telea, ns"):
         erase(PICTURE.copy(), [], "magic")
 
 

@@ -1,0 +1,171 @@
+"""Fills regions surface by surface, each only from pixels of its own surface. Works in place."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import cv2
+import numpy as np
+from numpy.typing import NDArray
+
+from common.labels import ErasedPolygon
+from services.label.fill_plane import ground_and_stripes, membrane
+from services.label.grain import grain
+from services.label.masks import Crop, mask_of
+from services.label.surfaces import Region, Surface
+
+Array = NDArray[np.float64]
+Floats = NDArray[np.float32]
+Picture = NDArray[np.uint8]
+Mask = NDArray[np.bool_]
+
+_AROUND = 0.3
+"""How far around a region the fill looks, as a share of the region."""
+_LEAST_AROUND_PX = 24
+_EDGE = np.ones((5, 5), np.uint8)
+"""Pixels so near to a side's edge may hold a part of what lies beyond it."""
+_ENOUGH = 200
+"""Pixels that a fill can learn from."""
+_BLUR_PX = 0.7
+
+
+@dataclass(frozen=True, eq=False)
+class _Work:
+    """The regions of one marker's neighbourhood that share a surface."""
+
+    polygons: tuple[ErasedPolygon, ...]
+    surface: Surface | None
+
+
+@dataclass(frozen=True, eq=False)
+class _Task:
+    """A crop (H, W, 3), its hole (H, W), what may be looked at (H, W), the hole's outline (N, 2); seed of its grain."""
+
+    bgr: Picture
+    hole: Mask
+    sources: Mask
+    outline: Array
+    seed: int | None
+
+
+def fill(bgr: Picture, regions: Sequence[Region], *, keep: Mask | None = None, with_grain: bool = True) -> None:
+    """Fill all regions of a picture (H, W, 3) in place.
+
+    ``keep`` (H, W): pixels that stay as they are and are not looked at (a hand before the marker).
+    """
+    height, width = bgr.shape[:2]
+    polygons = [region.polygon for region in regions]
+    works = [(work, crop) for work in _grouped(regions) if (crop := _crop(work.polygons, width, height)) is not None]
+    # Cut out before the first is filled: no fill may feed another.
+    parts = [bgr[crop.slices].copy() for _, crop in works]
+    done = np.zeros((height, width), dtype=bool)
+    for number, ((work, crop), part) in enumerate(zip(works, parts, strict=True)):
+        forbidden = mask_of(polygons, crop) > 0
+        hole = (mask_of(work.polygons, crop) > 0) & ~done[crop.slices]
+        if keep is not None:
+            forbidden |= keep[crop.slices]
+            hole &= ~keep[crop.slices]
+        if not hole.any():
+            continue
+        task = _Task(part, hole, ~forbidden, _outline(work.polygons, crop), number if with_grain else None)
+        filled = _filled(task, crop, work.surface)
+        cv2.copyTo(filled, hole.view(np.uint8), bgr[crop.slices])
+        done[crop.slices] |= hole
+
+
+def _grouped(regions: Sequence[Region]) -> list[_Work]:
+    """Regions of one marker in one place together, near surfaces first."""
+    works: list[_Work] = []
+    for region in regions:
+        for index, work in enumerate(works):
+            if work.polygons[0].marker == region.polygon.marker and work.surface is region.surface:
+                works[index] = _Work((*work.polygons, region.polygon), work.surface)
+                break
+        else:
+            works.append(_Work((region.polygon,), region.surface))
+    return sorted(works, key=lambda work: float("inf") if work.surface is None else work.surface.distance_mm)
+
+
+def _crop(polygons: Sequence[ErasedPolygon], width: int, height: int) -> Crop | None:
+    points = np.concatenate([np.array(polygon.polygon) for polygon in polygons])
+    low, high = np.floor(points.min(axis=0)), np.ceil(points.max(axis=0))
+    pad = max(_AROUND * float((high - low).max()), _LEAST_AROUND_PX)
+    crop = Crop(
+        max(int(low[0] - pad), 0),
+        max(int(low[1] - pad), 0),
+        min(int(high[0] + pad) + 1, width),
+        min(int(high[1] + pad) + 1, height),
+    )
+    return crop if crop.left < crop.right and crop.top < crop.bottom else None
+
+
+def _filled(task: _Task, crop: Crop, surface: Surface | None) -> Picture:
+    """The crop with its hole filled: each layer that the hole reaches into from that layer alone."""
+    shift = np.array([[1.0, 0, -crop.left], [0, 1.0, -crop.top], [0, 0, 1.0]])
+    to_pixel = shift if surface is None else shift @ surface.to_pixel
+    if surface is None or surface.outline is None:
+        return _one(task, task.sources, to_pixel)
+    layers = _layers(surface, surface.outline, crop)
+    last = len(layers) - 1
+    if float(layers[0].min()) > 0.99:
+        return _one(task, task.sources, to_pixel)
+    total = np.zeros(task.bgr.shape, dtype=np.float32)
+    for number, share in enumerate(layers):
+        if float(share[task.hole].max()) > 0.02:
+            area = task.sources & (share > 0.5)
+            # Well inside its edges where it is large enough, for they hold a part of what lies beyond.
+            inner = area & _apart(share > 0.5)
+            here = inner if cv2.countNonZero(inner.view(np.uint8)) > _ENOUGH else area
+            if number == last:
+                # A room is no plane, and only a rim of it is missing: what is nearest counts.
+                filled = membrane(task.bgr.astype(np.float32), here.astype(np.float32))
+            else:
+                filled = _one(task, here, shift if number else to_pixel).astype(np.float32)
+            total += share[..., None] * filled
+    return np.asarray(np.clip(np.rint(total), 0, 255), dtype=np.uint8)
+
+
+def _layers(surface: Surface, outline: Array, crop: Crop) -> list[Floats]:
+    """By how much (0..1) each pixel of a crop shows the marker's side, then each other surface, then what is behind."""
+    left = np.ones((crop.bottom - crop.top, crop.right - crop.left), dtype=np.float32)
+    before = []
+    for other in surface.nearer:
+        before.append(left * _coverage(other, crop))
+        left = left - before[-1]
+    own = left * _coverage(outline, crop)
+    left = left - own
+    beside = []
+    for other in surface.beside:
+        beside.append(left * _coverage(other, crop))
+        left = left - beside[-1]
+    return [own, *before, *beside, left]
+
+
+def _apart(area: Mask) -> Mask:
+    """An area without what lies too near to its edge."""
+    return np.asarray(cv2.erode(area.view(np.uint8), _EDGE), dtype=np.uint8) > 0
+
+
+def _one(task: _Task, sources: Mask, to_pixel: Array) -> Picture:
+    """The crop with its hole filled from ``sources``; by Telea where there is too little of them."""
+    smooth = ground_and_stripes(task.bgr, sources, task.outline, to_pixel)
+    if smooth is None:
+        return np.asarray(cv2.inpaint(task.bgr, task.hole.view(np.uint8), 3.0, cv2.INPAINT_TELEA), dtype=np.uint8)
+    texture = None if task.seed is None else grain(task.bgr, task.hole, sources, task.seed)
+    if texture is None:
+        return np.asarray(np.clip(np.rint(smooth), 0, 255), dtype=np.uint8)
+    return np.asarray(cv2.add(smooth, texture, dtype=cv2.CV_8U), dtype=np.uint8)
+
+
+def _outline(polygons: Sequence[ErasedPolygon], crop: Crop) -> Array:
+    """The points (N, 2) of polygons, in pixels of the crop."""
+    return np.concatenate([np.array(polygon.polygon) for polygon in polygons]) - (crop.left, crop.top)
+
+
+def _coverage(outline: Array, crop: Crop) -> Floats:
+    """How much of each pixel (0..1) of a crop lies inside an outline, as a lens sees it."""
+    canvas = np.zeros((crop.bottom - crop.top, crop.right - crop.left), dtype=np.uint8)
+    points = np.rint((outline - (crop.left, crop.top)) * 16).astype(np.int32)
+    cv2.fillPoly(canvas, [points], 255, cv2.LINE_AA, 4)
+    return np.asarray(cv2.GaussianBlur(canvas.astype(np.float32) / 255, (0, 0), _BLUR_PX), dtype=np.float32)
