@@ -44,6 +44,10 @@ WORDS: dict[str, Words] = {
     "store_down": Words(
         "Saving is stopped (store is restarting).", "Nothing recorded so far is lost; try again in a few seconds."
     ),
+    "detect_down": Words(
+        "Nobody looks for markers (detect is restarting).",
+        "Try again in a few seconds; if it stays so, look at detect in `tagmill status`.",
+    ),
     "label_down": Words("Labelling is stopped (label is restarting).", "Try again in a few seconds."),
     "disk_full": Words("The disk is full.", "Free some space or choose another session."),
     "disk_error": Words("The disk can't be written.", "Look at the system's log; the disk may be failing."),

@@ -144,7 +144,7 @@ COMMANDS: dict[str, Row] = {
                 *_LABEL,
                 *("no_camera", "no_object", "ambiguous_pose", "incomplete", "object_in_view", "no_frame", "frame_gone"),
                 *("frame_lost", "not_due", "bad_pose", "no_pose", "no_space", "backlog_full", "store_down"),
-                *("pixels_gone", "worker_died", "bad_sample", "cameras_failed", *_DISK, *_SESSION),
+                *("pixels_gone", "worker_died", "bad_sample", "cameras_failed", "detect_down", *_DISK, *_SESSION),
             ),
         ),
         Row(

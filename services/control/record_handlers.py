@@ -50,41 +50,60 @@ class RecordHandlers:
 
     def record(self, command: RecordCommand) -> Talk:
         """One order a camera; ok only if each camera gave all its samples."""
+        self._stack.refuse_while_reloading()
         cameras = self._stack.chosen(command.camera)
         recording = new_recording(clock.wall_ns())
         since = clock.monotonic_ns()
-        answers = yield Batch(
-            tuple(
-                Errand(
-                    self._stack.label_of(camera),
-                    RecordOrder(
-                        key=self._keys.new("record"),
-                        recording=recording,
-                        camera=camera,
-                        count=command.count,
-                        interval_s=command.interval_s,
-                        timeout_s=command.timeout_s,
-                        since_mono_ns=since,
-                        frame=command.frame,
-                        background=command.background,
-                    ),
-                )
-                for camera in cameras
-            ),
-            command.timeout_s + AFTER_TIMEOUT_S,
+        orders = tuple(
+            Errand(
+                self._stack.label_of(camera),
+                RecordOrder(
+                    key=self._keys.new("record"),
+                    recording=recording,
+                    camera=camera,
+                    count=command.count,
+                    interval_s=command.interval_s,
+                    timeout_s=command.timeout_s,
+                    since_mono_ns=since,
+                    frame=command.frame,
+                    background=command.background,
+                ),
+            )
+            for camera in cameras
         )
+        several = command.count * len(cameras) > 1
+        self._stack.requests += several
+        try:
+            answers = yield Batch(orders, command.timeout_s + AFTER_TIMEOUT_S)
+        finally:
+            self._stack.requests -= several
         stored: dict[str, Any] = {
             "recording": recording,
             "samples": sorted({name for answer in answers for name in answer.samples}),
             "pending": sorted({name for answer in answers for name in answer.pending}),
         }
-        failed = _failed(cameras, answers)
+        failed = {camera: self._explained(camera, error) for camera, error in _failed(cameras, answers).items()}
         if not failed:
             return stored
         return refusal(*_summary(command.camera, failed), **stored, cameras=_plain_errors(failed))
 
+    def _explained(self, camera: str, error: ErrorInfo) -> ErrorInfo:
+        """Label can't tell a camera without frames from one whose frames nobody looks at."""
+        detect = self._stack.detect_of(camera)
+        now = clock.monotonic_ns()
+        if error.code != "no_frame" or detect is None or self._stack.roll_call.alive(detect, now):
+            return error
+        if not self._stack.present(camera, now):
+            return error
+        return ErrorInfo(
+            code="detect_down",
+            message=f"{camera} runs, but {detect}, which looks for its markers, is not there; its supervisor restarts "
+            "it, so try again in a few seconds",
+        )
+
     def start(self, command: StartCommand) -> Talk:
         """Begin on each camera; if one refuses, it is ended again on those that accepted."""
+        self._stack.refuse_while_reloading()
         chosen = self._stack.chosen(command.camera)
         missing = tuple(camera for camera in chosen if not self._stack.present(camera, clock.monotonic_ns()))
         cameras = tuple(camera for camera in chosen if camera not in missing)

@@ -36,6 +36,7 @@ class SeenCamera:
 class Stack:
     """Control's knowledge; `hear` takes what comes from the bus.
 
+    ``reloading``: the rig file is being taken over. ``requests``: `record`s under way that want more than one sample.
     ``session`` is the store's open session, as the store in its life ``surveyed_boot`` told (at first the rig's).
     """
 
@@ -48,6 +49,8 @@ class Stack:
         self.session = rig.config.dataset.session
         self.surveyed_boot = ""
         self.settled = False
+        self.reloading = False
+        self.requests = 0
         self._detect = Sharing(rig.config.workers.detect)
         self._label = Sharing(rig.config.workers.label)
         self._since_ns = now_ns
@@ -121,6 +124,16 @@ class Stack:
         instance = self._label.instance(camera)
         assert instance is not None, f"{camera} was not shared out"
         return f"label.{instance}"
+
+    def detect_of(self, camera: str) -> str | None:
+        """The service id of the detect process that serves a camera, once it is shared out."""
+        instance = self._detect.instance(camera)
+        return None if instance is None else f"detect.{instance}"
+
+    def refuse_while_reloading(self) -> None:
+        """Raise RefusedError ``busy``: what is begun while the rig changes would have labels of both."""
+        if self.reloading:
+            raise RefusedError("the rig file is being reloaded; ask again in a few seconds", code="busy")
 
     def chosen(self, camera: str) -> tuple[str, ...]:
         """The cameras that a request means; raises RefusedError ``no_camera`` with the known ones."""

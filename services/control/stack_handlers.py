@@ -28,7 +28,6 @@ class StackHandlers:
     def __init__(self, stack: Stack, keys: Keys) -> None:
         self._stack = stack
         self._keys = keys
-        self._reloading = False
 
     def status(self, _: StatusCommand) -> Talk:
         """From what was heard; nobody is asked, so it answers whatever else is down."""
@@ -54,19 +53,18 @@ class StackHandlers:
 
     def reload(self, _: ReloadCommand) -> Talk:
         """Check the file; the store takes it over first, because it may still refuse, then label, then control."""
-        if self._reloading:
-            raise RefusedError("the rig file is being reloaded already; ask again in a few seconds", code="busy")
+        self._stack.refuse_while_reloading()
         rig = load_rig(self._stack.rig.path)
         changed = changed_sections(self._stack.rig, rig)
         self._refuse_restart(changed)
         if differences(self._stack.rig.as_plain(), rig.as_plain()):
             self._refuse_while_recording("what its labels depend on can't be changed")
-        self._reloading = True
+        self._stack.reloading = True
         try:
             (stored,) = yield from self._hand_out((STORE,))
             yield from self._hand_out(self._stack.labels)
         finally:
-            self._reloading = False
+            self._stack.reloading = False
         restart = captures_to_restart(self._stack.rig, rig)
         self._stack.take_over(rig)
         self._stack.session = stored.text or self._stack.session
@@ -97,6 +95,11 @@ class StackHandlers:
         running = self._stack.recordings.open_ids()
         if running:
             raise RefusedError(f"{', '.join(running)} is still running, so {what}; stop it first", code="wrong_state")
+        if self._stack.requests:
+            raise RefusedError(
+                f"a `record` of several samples is under way, so {what}; ask again when it is answered",
+                code="wrong_state",
+            )
 
 
 def changed_sections(before: Rig, after: Rig) -> tuple[str, ...]:
