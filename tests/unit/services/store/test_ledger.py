@@ -185,5 +185,5 @@ def test_a_rigs_new_cameras_are_appended_and_absent_ones_stay() -> None:
 
 def test_the_life_is_the_parents() -> None:
     assert stack_life() == stack_life()
-    assert stack_life(1) != stack_life()
+    assert stack_life(os.getpid()) != stack_life()
     assert stack_life(1).pid == 1
