@@ -10,9 +10,10 @@ import numpy as np
 from numpy.typing import NDArray
 
 from common.labels import ErasedPolygon
+from services.label.covering import Covering
 from services.label.fill_plane import ground_and_stripes, membrane
 from services.label.grain import grain
-from services.label.masks import Crop, mask_of
+from services.label.masks import Crop, crop_around, mask_of
 from services.label.surfaces import Region, Surface
 
 Array = NDArray[np.float64]
@@ -20,9 +21,6 @@ Floats = NDArray[np.float32]
 Picture = NDArray[np.uint8]
 Mask = NDArray[np.bool_]
 
-_AROUND = 0.3
-"""How far around a region the fill looks, as a share of the region."""
-_LEAST_AROUND_PX = 24
 _EDGE = np.ones((5, 5), np.uint8)
 """Pixels so near to a side's edge may hold a part of what lies beyond it."""
 _ENOUGH = 200
@@ -49,23 +47,25 @@ class _Task:
     seed: int | None
 
 
-def fill(bgr: Picture, regions: Sequence[Region], *, keep: Mask | None = None, with_grain: bool = True) -> None:
+def fill(bgr: Picture, regions: Sequence[Region], *, covered: Covering | None = None, with_grain: bool = True) -> None:
     """Fill all regions of a picture (H, W, 3) in place.
 
-    ``keep`` (H, W): pixels that stay as they are and are not looked at (a hand before the marker).
+    ``covered``: what stands before markers; it stays as it is and is not looked at.
     """
     height, width = bgr.shape[:2]
     polygons = [region.polygon for region in regions]
-    works = [(work, crop) for work in _grouped(regions) if (crop := _crop(work.polygons, width, height)) is not None]
+    works = [
+        (work, crop) for work in _grouped(regions) if (crop := crop_around(work.polygons, width, height)) is not None
+    ]
     # Cut out before the first is filled: no fill may feed another.
     parts = [bgr[crop.slices].copy() for _, crop in works]
     done = np.zeros((height, width), dtype=bool)
     for number, ((work, crop), part) in enumerate(zip(works, parts, strict=True)):
         forbidden = mask_of(polygons, crop) > 0
         hole = (mask_of(work.polygons, crop) > 0) & ~done[crop.slices]
-        if keep is not None:
-            forbidden |= keep[crop.slices]
-            hole &= ~keep[crop.slices]
+        if covered is not None:
+            forbidden |= covered.near[crop.slices]
+            hole &= ~covered.keep[crop.slices]
         if not hole.any():
             continue
         task = _Task(part, hole, ~forbidden, _outline(work.polygons, crop), number if with_grain else None)
@@ -85,19 +85,6 @@ def _grouped(regions: Sequence[Region]) -> list[_Work]:
         else:
             works.append(_Work((region.polygon,), region.surface))
     return sorted(works, key=lambda work: float("inf") if work.surface is None else work.surface.distance_mm)
-
-
-def _crop(polygons: Sequence[ErasedPolygon], width: int, height: int) -> Crop | None:
-    points = np.concatenate([np.array(polygon.polygon) for polygon in polygons])
-    low, high = np.floor(points.min(axis=0)), np.ceil(points.max(axis=0))
-    pad = max(_AROUND * float((high - low).max()), _LEAST_AROUND_PX)
-    crop = Crop(
-        max(int(low[0] - pad), 0),
-        max(int(low[1] - pad), 0),
-        min(int(high[0] + pad) + 1, width),
-        min(int(high[1] + pad) + 1, height),
-    )
-    return crop if crop.left < crop.right and crop.top < crop.bottom else None
 
 
 def _filled(task: _Task, crop: Crop, surface: Surface | None) -> Picture:

@@ -22,6 +22,7 @@ from common.geometry import CameraModel
 from common.labels import CameraLabel, Erased, LeftOut, Missing, ObjectLabel
 from common.log import get
 from common.messages import DetectedMarker
+from services.label.covering import covering
 from services.label.inpaint import erase
 from services.label.labelling import Around, Labeller
 from services.label.occlusion import DepthPicture
@@ -175,7 +176,8 @@ def _finish(job: Job) -> Finished:
     labelled = _worker.labeller.label_once(job.markers, camera, bgr, job.around, depth)
     boxes = _worker.labeller.boxes
     found = regions_on_sides(labelled.objects, labelled.left_out, boxes, camera, margin=options.margin)
-    erase(bgr, found, method=options.method, radius_px=options.radius_px)
+    covered = None if depth is None else covering(found, depth)
+    erase(bgr, found, method=options.method, radius_px=options.radius_px, covered=covered)
     polygons = tuple(region.polygon for region in found)
     erased = Erased(method=options.method, margin=f"{options.margin:g} of the marker, at least 3 px", polygons=polygons)
     return Finished(

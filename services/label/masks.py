@@ -14,6 +14,9 @@ from common.labels import ErasedPolygon
 Mask = NDArray[np.uint8]
 
 _FRACTION_BITS = 4
+_AROUND = 0.3
+"""How far around a region a fill looks, as a share of the region."""
+_LEAST_AROUND_PX = 24
 
 
 @dataclass(frozen=True, slots=True)
@@ -54,6 +57,20 @@ def mask_of(polygons: Sequence[ErasedPolygon], crop: Crop) -> Mask:
         shifted = (np.array(polygon.polygon) - (crop.left, crop.top)) * scale
         cv2.fillPoly(mask, [np.round(shifted).astype(np.int32)], 255, cv2.LINE_8, _FRACTION_BITS)
     return mask
+
+
+def crop_around(polygons: Sequence[ErasedPolygon], width: int, height: int) -> Crop | None:
+    """The crop with polygons and their neighbourhood; None if it lies outside the picture."""
+    points = np.concatenate([np.array(polygon.polygon) for polygon in polygons])
+    low, high = np.floor(points.min(axis=0)), np.ceil(points.max(axis=0))
+    pad = max(_AROUND * float((high - low).max()), _LEAST_AROUND_PX)
+    crop = Crop(
+        max(int(low[0] - pad), 0),
+        max(int(low[1] - pad), 0),
+        min(int(high[0] + pad) + 1, width),
+        min(int(high[1] + pad) + 1, height),
+    )
+    return crop if crop.left < crop.right and crop.top < crop.bottom else None
 
 
 def crops(polygons: Sequence[ErasedPolygon], width: int, height: int, radius_px: float) -> list[Crop]:

@@ -26,7 +26,7 @@ class Surface:
     they are known, any unit) to pixels; exact in the marker's neighbourhood, where a lens bends next to nothing.
     ``outline`` (N, 2) px is the side's edge in the picture, None where no pose tells; ``beside`` are those of the
     object's other sides that are seen, ``nearer`` the outlines of objects that may stand before it.
-    ``depth_form`` (3,): the plane's depth in mm along the ray (x, y, 1) is 1 / (form @ ray), None without a pose.
+    ``depth_row`` (3,): a point (x, y) of the plane lies at z = row @ (x, y, 1) mm; None without a pose.
     ``distance_mm`` orders surfaces from near to far.
     """
 
@@ -34,7 +34,7 @@ class Surface:
     outline: Array | None = None
     beside: tuple[Array, ...] = ()
     nearer: tuple[Array, ...] = ()
-    depth_form: Array | None = None
+    depth_row: Array | None = None
     distance_mm: float = float("inf")
 
 
@@ -60,8 +60,6 @@ def surface_of_pose(
     to_pixel = _homography(_SQUARE[:, :2] * half, pixels)
     if to_pixel is None:
         return None
-    normal = frame.rotation[:, 2]
-    offset = float(normal @ frame.translation)
     distance = float(np.linalg.norm(frame.translation))
     return Surface(
         to_pixel=to_pixel,
@@ -73,7 +71,7 @@ def surface_of_pose(
             if np.linalg.norm(at.translation) < np.linalg.norm(pose.translation)
             and (outline := _hull_of(other, at, camera)) is not None
         ),
-        depth_form=normal / offset if abs(offset) > 1e-6 else None,
+        depth_row=np.array([frame.rotation[2, 0], frame.rotation[2, 1], frame.translation[2]]),
         distance_mm=distance,
     )
 

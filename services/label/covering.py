@@ -1,0 +1,77 @@
+"""What stands before a marker and must not be erased with it: a hand that holds the object. Pure.
+
+Depth tells: what is measured nearer than the marker's plane, by more than the sensor's noise, is something else.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import cv2
+import numpy as np
+from numpy.typing import NDArray
+
+from services.label.masks import Crop, crop_around, mask_of
+from services.label.occlusion import NEARER_MM, NEARER_SHARE, NEARER_SIGMA, DepthPicture
+from services.label.surfaces import Region, Surface
+
+Array = NDArray[np.float64]
+Mask = NDArray[np.bool_]
+
+_PATCH = 5
+_BAND = cv2.getStructuringElement(cv2.MORPH_ELLIPSE, (7, 7))
+"""Depth and colour disagree by about three pixels on where the thing's edge is."""
+_FAR = 65535
+
+
+@dataclass(frozen=True, eq=False)
+class Covering:
+    """``keep`` (H, W): pixels of regions that stay as they are; ``near`` (H, W): what no fill may look at."""
+
+    keep: Mask
+    near: Mask
+
+
+def covering(regions: Sequence[Region], depth: DepthPicture) -> Covering | None:
+    """What covers the regions of a picture; None if nothing does.
+
+    Only regions whose surface has a pose are judged. Along the edge of what covers a marker a rim of 3 px of it is
+    erased as well, so that no marker is left there, and a rim of 3 px around it feeds no fill. A hole in the depth
+    picture covers nothing.
+    """
+    height, width = depth.values.shape
+    found = Covering(np.zeros((height, width), dtype=bool), np.zeros((height, width), dtype=bool))
+    bare = np.zeros((height, width), dtype=bool)
+    for region in regions:
+        crop = crop_around([region.polygon], width, height)
+        if region.surface is None or region.surface.depth_row is None or crop is None:
+            continue
+        near = _nearer(region.surface, region.surface.depth_row, depth, crop)
+        inside = mask_of([region.polygon], crop) > 0
+        core = np.asarray(cv2.erode(near, _BAND, borderValue=1), dtype=np.uint8) > 0
+        found.near[crop.slices] |= np.asarray(cv2.dilate(near, _BAND), dtype=np.uint8) > 0
+        found.keep[crop.slices] |= inside & core
+        bare[crop.slices] |= inside & ~core
+    # With two poses left open, only what lies before both planes is surely no marker.
+    np.logical_and(found.keep, ~bare, out=found.keep)
+    return found if found.near.any() else None
+
+
+def _nearer(surface: Surface, depth_row: Array, depth: DepthPicture, crop: Crop) -> NDArray[np.uint8]:
+    """Where (1, else 0) the crop's depth lies before the surface's plane."""
+    values = depth.values[crop.slices]
+    filled = np.where(values == 0, np.uint16(_FAR), values)
+    smooth = np.asarray(cv2.medianBlur(filled, _PATCH), dtype=np.float64) * depth.unit_mm
+    valid = values > 0
+    apart = np.abs(values * depth.unit_mm - smooth)[valid & (smooth < _FAR * depth.unit_mm)]
+    noise = 1.4826 * float(np.median(apart)) if apart.size else 0.0
+    # On the plane z is linear in its coordinates, which a homography makes a quotient of two forms of the pixel.
+    back = np.linalg.inv(surface.to_pixel)
+    u = np.arange(crop.left, crop.right, dtype=np.float64)[None, :]
+    v = np.arange(crop.top, crop.bottom, dtype=np.float64)[:, None]
+    above, below = depth_row @ back, back[2]
+    with np.errstate(divide="ignore", invalid="ignore"):
+        plane = (above[0] * u + above[1] * v + above[2]) / (below[0] * u + below[1] * v + below[2])
+        slack = np.maximum(NEARER_MM, np.maximum(NEARER_SHARE * plane, NEARER_SIGMA * noise))
+        return np.asarray(smooth < plane - slack, dtype=np.uint8)
