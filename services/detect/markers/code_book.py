@@ -25,6 +25,8 @@ LEAST_SCORE = 0.85
 """Neighbouring pixels of real pictures are alike, so their levels are less free than Fisher assumes."""
 LEAST_LEAD = 0.15
 """Before the next pattern (another id or another turn); families of close patterns have half their clean lead."""
+LEAST_SUM = 1.05
+"""Score and lead together: a low score needs a clear lead."""
 BLURS = ((0.0, 0.0), (0.4, 0.4), (0.6, 0.6), (0.8, 0.8), (0.9, 0.2), (0.2, 0.9))
 """Standard deviations along a row and a column, in cells: sharp, small or out of focus, moving."""
 ONE_THREAD_PRODUCT = 250_000
@@ -72,8 +74,15 @@ class CodeBook:
         # All patterns of a picture are blurred alike: the next one is sought in the best one's blur.
         alike = scores[row, blur]
         alike[row, first] = -1.0
-        sure = (best >= self.least_score) & (best - alike.max(axis=1) >= self.least_lead)
+        lead = best - alike.max(axis=1)
+        sure = (best >= self.least_score) & (lead >= self.least_lead) & (best + lead >= LEAST_SUM)
         return Match(pattern // 4, pattern % 4, best, sure)
+
+    def confirm(self, grids: Array, ids: NDArray[np.intp]) -> NDArray[np.bool_]:
+        """Which grids (K, n * n) show the upright marker (K,) that is expected there: no other is in question."""
+        expected = self._blurred[:, ids * 4]
+        scores = np.einsum("bkc,kc->bk", expected, _normalised(grids)).max(axis=0)
+        return np.asarray(scores >= self.least_score)
 
     def _correlations(self, levels: Array) -> Array:
         """Correlation (K, P) with each sharp pattern, in products too small for the BLAS to start threads for."""

@@ -31,8 +31,8 @@ CELLS_OFF = 0.6
 FOLLOWED_CELLS_OFF = 0.95
 """The same for a predicted marker. Beyond a cell the edges of inner cells look like the outer one."""
 LEAST_REACH_PX = 1.0
-FEW = 6
-"""So few quads are not worth a first look for those without contrast."""
+LEAST_CELL_PX = 0.7
+"""In both directions: what is narrower holds no pattern that could be told."""
 ALIKE_SHIFT, ALIKE_SIZE = 0.08, 0.15
 """Candidates of two levels are one: their centres' distance in sides (and a pixel), their sizes' ratio (log)."""
 
@@ -67,11 +67,19 @@ class PatternDetector:
             return []
         quads = np.array([marker.corners for marker in expected], dtype=np.float64)
         quads = fit_edges(grey, quads, np.maximum(FOLLOWED_CELLS_OFF * self._cell_px(quads), LEAST_REACH_PX))
-        found: list[DetectedMarker | None] = [None] * len(expected)
-        for one in self._identify(grey, quads):
-            if one.id == expected[one.candidate].id and one.turn == 0:
-                found[one.candidate] = DetectedMarker(id=one.id, corners=as_quad(one.quad), kind=KIND)
-        return found
+        quads = self._fit_closely(grey, quads)
+        cells = self._reader.cells(grey, quads)
+        ids = np.array([marker.id for marker in expected], dtype=np.intp)
+        contrasty, bordered = self._reader.bordered(cells)
+        seen = bordered & self._book.confirm(cells.inner, ids)
+        if not seen.all():
+            levels, parted = self._reader.without_shadow(cells)
+            seen |= contrasty & parted & self._book.confirm(levels, ids)
+        seen &= self._large_enough(quads)
+        return [
+            DetectedMarker(id=marker.id, corners=as_quad(quad), kind=KIND) if there else None
+            for marker, quad, there in zip(expected, quads, seen, strict=True)
+        ]
 
     def _candidates(self, grey: Grey) -> tuple[Array, Array]:
         """Quads (K, 4, 2) px of all levels, each place once, and how far off (K,) px they may be."""
@@ -86,30 +94,38 @@ class PatternDetector:
 
     def _identify(self, grey: Grey, quads: Array) -> list[_Seen]:
         """Those quads (K, 4, 2) that show a marker of the family, fitted once more."""
-        candidates = np.arange(len(quads))
-        if len(quads) > FEW:
-            contrasty, _ = self._reader.bordered(self._reader.cells(grey, quads))
-            candidates = np.flatnonzero(contrasty)
-            quads = quads[candidates]
-        if not len(candidates):
+        contrasty, _ = self._reader.bordered(self._reader.cells(grey, quads))
+        quads = quads[contrasty & self._large_enough(quads)]
+        if not len(quads):
             return []
-        quads = fit_edges(grey, quads, np.maximum(CELLS_OFF / 2 * self._cell_px(quads), LEAST_REACH_PX))
+        quads = self._fit_closely(grey, quads)
         cells = self._reader.cells(grey, quads)
         contrasty, bordered = self._reader.bordered(cells)
         plain = np.flatnonzero(bordered)
         match = self._book.match(cells.inner[plain])
-        seen = _sure(match, plain, quads, candidates)
+        seen = _sure(match, plain, quads)
         unread = contrasty.copy()
         unread[plain[match.sure]] = False
-        return seen + self._in_shadow(cells, np.flatnonzero(unread), quads, candidates)
+        return seen + self._in_shadow(cells, np.flatnonzero(unread), quads)
 
-    def _in_shadow(self, cells: Cells, index: Indices, quads: Array, candidates: Indices) -> list[_Seen]:
+    def _in_shadow(self, cells: Cells, index: Indices, quads: Array) -> list[_Seen]:
         """Those of the quads ``index`` that show a marker once a shadow's edge is accounted for."""
         if not len(index):
             return []
         levels, parted = self._reader.without_shadow(Cells(cells.inner[index], cells.border[index]))
         shaded = index[parted]
-        return _sure(self._book.match(levels[parted]), shaded, quads, candidates)
+        return _sure(self._book.match(levels[parted]), shaded, quads)
+
+    def _fit_closely(self, grey: Grey, quads: Array) -> Array:
+        return fit_edges(grey, quads, np.maximum(CELLS_OFF / 2 * self._cell_px(quads), LEAST_REACH_PX))
+
+    def _large_enough(self, quads: Array) -> NDArray[np.bool_]:
+        """Which quads (K, 4, 2) have pixels enough for a cell, across as well as along."""
+        sides = np.linalg.norm(quads - np.roll(quads, 1, axis=1), axis=2)
+        narrower = np.minimum(sides[:, 0] + sides[:, 2], sides[:, 1] + sides[:, 3]) / 2
+        return np.asarray(
+            np.minimum(narrower, np.sqrt(np.abs(signed_areas(quads)))) >= LEAST_CELL_PX * self.family.cells
+        )
 
     def _cell_px(self, quads: Array) -> Array:
         """The side of a cell (K,), px, if the quads were markers."""
@@ -118,18 +134,17 @@ class PatternDetector:
 
 @dataclass(frozen=True)
 class _Seen:
-    """A quad that was read: which candidate it was, what it shows, and by how many quarter turns it is turned."""
+    """A quad that was read: what it shows, and by how many quarter turns it is turned."""
 
-    candidate: int
     id: int
     turn: int
     score: float
     quad: Array
 
 
-def _sure(match: Match, index: Indices, quads: Array, candidates: Indices) -> list[_Seen]:
+def _sure(match: Match, index: Indices, quads: Array) -> list[_Seen]:
     return [
-        _Seen(int(candidates[at]), int(match.ids[k]), int(match.turns[k]), float(match.scores[k]), quads[at])
+        _Seen(int(match.ids[k]), int(match.turns[k]), float(match.scores[k]), quads[at])
         for k, at in enumerate(index)
         if match.sure[k]
     ]
