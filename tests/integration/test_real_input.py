@@ -79,7 +79,7 @@ def record_to_the_end(client: CommandClient, camera: str, deadline_s: float) -> 
 
 @pytest.fixture
 def two_tags(testdata: Find, tmp_path: Path, request: pytest.FixtureRequest) -> tuple[Path, int]:
-    """The video with its number of frames, or, as pictures in a folder, every n-th frame of it, n being the parameter."""
+    """The video with its number of frames, or every n-th frame as pictures in a folder (n is the parameter)."""
     video, step = testdata("wpical/two_tags.mp4"), request.param
     if step == 1:
         return video, 159
