@@ -21,12 +21,12 @@ Array = NDArray[np.float32]
 
 BY_CHANCE = 1e-6
 """How often a quad of random levels may pass for any of the family's markers."""
-LEAST_SCORE = 0.85
+LEAST_SCORE = 0.88
 """Neighbouring pixels of real pictures are alike, so their levels are less free than Fisher assumes."""
 LEAST_LEAD = 0.15
 """Before the next pattern (another id or another turn); families of close patterns have half their clean lead."""
-LEAST_SUM = 1.05
-"""Score and lead together: a low score needs a clear lead."""
+LEAST_SUM = 1.08
+"""Score and lead together: a low score needs a clear lead. Less by as much as the family's lead is."""
 BLURS = ((0.0, 0.0), (0.4, 0.4), (0.6, 0.6), (0.8, 0.8), (0.9, 0.2), (0.2, 0.9))
 """Standard deviations along a row and a column, in cells: sharp, small or out of focus, moving."""
 ONE_THREAD_PRODUCT = 250_000
@@ -56,6 +56,7 @@ class CodeBook:
         rarity = NormalDist().inv_cdf(1 - BY_CHANCE / len(patterns))
         self.least_score = max(LEAST_SCORE, tanh(rarity / sqrt(max(free - 3, 1))))
         self.least_lead = min(LEAST_LEAD, family.distance / free)
+        self._least_sum = LEAST_SUM - LEAST_LEAD + self.least_lead
 
     def match(self, grids: Array) -> Match:
         """The best pattern for each of the grids (K, n * n), of any gain and offset."""
@@ -75,7 +76,7 @@ class CodeBook:
         alike = scores[row, blur]
         alike[row, first] = -1.0
         lead = best - alike.max(axis=1)
-        sure = (best >= self.least_score) & (lead >= self.least_lead) & (best + lead >= LEAST_SUM)
+        sure = (best >= self.least_score) & (lead >= self.least_lead) & (best + lead >= self._least_sum)
         return Match(pattern // 4, pattern % 4, best, sure)
 
     def confirm(self, grids: Array, ids: NDArray[np.intp]) -> NDArray[np.bool_]:

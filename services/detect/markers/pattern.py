@@ -31,6 +31,8 @@ CELLS_OFF = 0.6
 FOLLOWED_CELLS_OFF = 0.95
 """The same for a predicted marker. Beyond a cell the edges of inner cells look like the outer one."""
 LEAST_REACH_PX = 1.0
+LEAST_SHADED_SCORE = 0.92
+"""Parting the lights adds freedom to the fit; true markers score 0.95 and more there."""
 LEAST_CELL_PX = 0.7
 """In both directions: what is narrower holds no pattern that could be told."""
 ALIKE_SHIFT, ALIKE_SIZE = 0.08, 0.15
@@ -114,7 +116,8 @@ class PatternDetector:
             return []
         levels, parted = self._reader.without_shadow(Cells(cells.inner[index], cells.border[index]))
         shaded = index[parted]
-        return _sure(self._book.match(levels[parted]), shaded, quads)
+        read = _sure(self._book.match(levels[parted]), shaded, quads)
+        return [one for one in read if one.score >= LEAST_SHADED_SCORE]
 
     def _fit_closely(self, grey: Grey, quads: Array) -> Array:
         return fit_edges(grey, quads, np.maximum(CELLS_OFF / 2 * self._cell_px(quads), LEAST_REACH_PX))
