@@ -12,7 +12,7 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
-from services.label.masks import Crop, crop_around, mask_of
+from services.label.masks import Crop, area_of, crop_around, mask_of
 from services.label.occlusion import NEARER_MM, NEARER_SHARE, NEARER_SIGMA, DepthPicture
 from services.label.surfaces import Region, Surface
 
@@ -36,30 +36,35 @@ class Covering:
 def covering(regions: Sequence[Region], depth: DepthPicture) -> Covering | None:
     """What covers the regions of a picture; None if nothing does.
 
-    Only regions whose surface has a pose are judged. Along the edge of what covers a marker a rim of 3 px of it is
-    erased as well, so that no marker is left there, and a rim of 3 px around it feeds no fill. A hole in the depth
-    picture covers nothing.
+    Regions whose surface has a pose are judged; a marker that was detected never counts as mostly covered. Along
+    the edge of what covers a marker a rim of 3 px of it is erased as well, so that no marker is left there, and a
+    rim of 3 px around it feeds no fill. A hole in the depth picture covers nothing.
     """
     height, width = depth.values.shape
     found = Covering(np.zeros((height, width), dtype=bool), np.zeros((height, width), dtype=bool))
     bare = np.zeros((height, width), dtype=bool)
     for region in regions:
         crop = crop_around([region.polygon], width, height)
-        if region.surface is None or region.surface.depth_row is None or crop is None:
+        if crop is None:
             continue
-        near = _nearer(region.surface, region.surface.depth_row, depth, crop)
         inside = mask_of([region.polygon], crop) > 0
+        near = _nearer(region.surface, depth, crop)
+        if region.polygon.because == "detected" and 2 * int(near[inside].sum()) > int(inside.sum()):
+            # What was read isn't covered: the pose or the depth is off.
+            near[:] = 0
         core = np.asarray(cv2.erode(near, _BAND, borderValue=1), dtype=np.uint8) > 0
         found.near[crop.slices] |= np.asarray(cv2.dilate(near, _BAND), dtype=np.uint8) > 0
         found.keep[crop.slices] |= inside & core
         bare[crop.slices] |= inside & ~core
-    # With two poses left open, only what lies before both planes is surely no marker.
+    # Of two poses left open, or a pose and a detection, both must say so.
     np.logical_and(found.keep, ~bare, out=found.keep)
     return found if found.near.any() else None
 
 
-def _nearer(surface: Surface, depth_row: Array, depth: DepthPicture, crop: Crop) -> NDArray[np.uint8]:
-    """Where (1, else 0) the crop's depth lies before the surface's plane."""
+def _nearer(surface: Surface | None, depth: DepthPicture, crop: Crop) -> NDArray[np.uint8]:
+    """Where (1, else 0) the crop's depth lies before the surface's plane; nowhere if that isn't known."""
+    if surface is None or surface.depth_row is None:
+        return np.zeros((crop.bottom - crop.top, crop.right - crop.left), dtype=np.uint8)
     values = depth.values[crop.slices]
     filled = np.where(values == 0, np.uint16(_FAR), values)
     smooth = np.asarray(cv2.medianBlur(filled, _PATCH), dtype=np.float64) * depth.unit_mm
@@ -70,8 +75,12 @@ def _nearer(surface: Surface, depth_row: Array, depth: DepthPicture, crop: Crop)
     back = np.linalg.inv(surface.to_pixel)
     u = np.arange(crop.left, crop.right, dtype=np.float64)[None, :]
     v = np.arange(crop.top, crop.bottom, dtype=np.float64)[:, None]
-    above, below = depth_row @ back, back[2]
+    above, below = surface.depth_row @ back, back[2]
     with np.errstate(divide="ignore", invalid="ignore"):
         plane = (above[0] * u + above[1] * v + above[2]) / (below[0] * u + below[1] * v + below[2])
         slack = np.maximum(NEARER_MM, np.maximum(NEARER_SHARE * plane, NEARER_SIGMA * noise))
-        return np.asarray(smooth < plane - slack, dtype=np.uint8)
+        near = np.asarray(smooth < plane - slack)
+    if surface.outline is not None:
+        # Beyond its side a plane goes on, and at a grazing angle it is soon behind the wall.
+        near &= np.asarray(cv2.dilate(area_of(surface.outline, crop), _BAND)) > 0
+    return near.astype(np.uint8)

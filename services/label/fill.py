@@ -13,7 +13,7 @@ from common.labels import ErasedPolygon
 from services.label.covering import Covering
 from services.label.fill_plane import ground_and_stripes, membrane
 from services.label.grain import grain
-from services.label.masks import Crop, crop_around, mask_of
+from services.label.masks import Crop, area_of, crop_around, mask_of
 from services.label.surfaces import Region, Surface
 
 Array = NDArray[np.float64]
@@ -152,7 +152,5 @@ def _outline(polygons: Sequence[ErasedPolygon], crop: Crop) -> Array:
 
 def _coverage(outline: Array, crop: Crop) -> Floats:
     """How much of each pixel (0..1) of a crop lies inside an outline, as a lens sees it."""
-    canvas = np.zeros((crop.bottom - crop.top, crop.right - crop.left), dtype=np.uint8)
-    points = np.rint((outline - (crop.left, crop.top)) * 16).astype(np.int32)
-    cv2.fillPoly(canvas, [points], 255, cv2.LINE_AA, 4)
-    return np.asarray(cv2.GaussianBlur(canvas.astype(np.float32) / 255, (0, 0), _BLUR_PX), dtype=np.float32)
+    share = area_of(outline, crop, cv2.LINE_AA).astype(np.float32) / np.float32(255)
+    return np.asarray(cv2.GaussianBlur(share, (0, 0), _BLUR_PX), dtype=np.float32)

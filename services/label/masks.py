@@ -52,10 +52,16 @@ class Crop:
 def mask_of(polygons: Sequence[ErasedPolygon], crop: Crop) -> Mask:
     """The erased pixels (255) of a crop: every pixel that a polygon touches."""
     mask: Mask = np.zeros((crop.bottom - crop.top, crop.right - crop.left), dtype=np.uint8)
-    scale = 1 << _FRACTION_BITS
     for polygon in polygons:
-        shifted = (np.array(polygon.polygon) - (crop.left, crop.top)) * scale
-        cv2.fillPoly(mask, [np.round(shifted).astype(np.int32)], 255, cv2.LINE_8, _FRACTION_BITS)
+        mask |= area_of(np.array(polygon.polygon), crop)
+    return mask
+
+
+def area_of(outline: NDArray[np.float64], crop: Crop, line: int = cv2.LINE_8) -> Mask:
+    """The pixels (255) of a crop that an outline (N, 2) px touches; with cv2.LINE_AA by how much."""
+    mask: Mask = np.zeros((crop.bottom - crop.top, crop.right - crop.left), dtype=np.uint8)
+    shifted = np.round((outline - (crop.left, crop.top)) * (1 << _FRACTION_BITS)).astype(np.int32)
+    cv2.fillPoly(mask, [shifted], 255, line, _FRACTION_BITS)
     return mask
 
 

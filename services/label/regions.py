@@ -24,6 +24,7 @@ from services.label.windows import clip_near, points
 Array = NDArray[np.float64]
 
 MIN_MARGIN_PX = 3.0
+MOST_SLACK_PX = 24.0
 GRAZING_DEG = 91.0
 """A side seen at a grazing angle may by its pose be turned away and yet show its marker as a thin line."""
 UNKNOWN_BORDER = 0.2
@@ -68,15 +69,18 @@ def regions_on_sides(
         surface = _surface_at(id_, corners, posed)
         outline = _outline_of_corners(corners, border, margin, camera, surface)
         found += [Region(cut, surface) for cut in _cut(id_, "detected", outline, camera)]
+    seen = {id(region.surface) for region in found}
     for placed in posed:
-        outline = _outline_of_pose(placed, margin, camera)
+        # Where a marker was detected, that says exactly where it is; elsewhere the pose may be off.
+        slack = 0.0 if id(placed.surface) in seen else placed.slack_px
+        outline = _outline_of_pose(placed, margin, slack, camera)
         found += [Region(cut, placed.surface) for cut in _cut(placed.marker.id, "pose", outline, camera)]
     return tuple(found)
 
 
 @dataclass(frozen=True, eq=False)
 class _Placed:
-    """A configured marker that the camera can see, where a pose puts it."""
+    """A configured marker that the camera can see, where a pose puts it; by how much that may be wrong."""
 
     box: Box
     side: BoxSide
@@ -84,10 +88,12 @@ class _Placed:
     pose: Pose
     surface: Surface | None
     middle: Array
+    slack_px: float
 
 
 def _posed_markers(objects: Sequence[ObjectLabel], boxes: Sequence[Box], camera: CameraModel) -> list[_Placed]:
     posed = _posed(objects, boxes)
+    slack = {label.name: _slack_px(label) for label in objects}
     found = []
     for box, pose in posed:
         others = [(other, at) for other, at in posed if other is not box]
@@ -95,8 +101,15 @@ def _posed_markers(objects: Sequence[ObjectLabel], boxes: Sequence[Box], camera:
             if _may_show(pose, box, side, marker) and not marker_hidden(pose, box, side, marker, others):
                 surface = surface_of_pose(box, side, marker, pose, camera, others)
                 middle = camera.project(pose.apply(box.marker_pose(side, marker).translation))[0][0]
-                found.append(_Placed(box, side, marker, pose, surface, middle))
+                found.append(_Placed(box, side, marker, pose, surface, middle, slack[box.name]))
     return found
+
+
+def _slack_px(label: ObjectLabel) -> float:
+    """Three sigma of where the pose puts the worst of the object's corners; a marker on it is no worse off."""
+    bar = label.quality.uncertainty
+    known = [] if bar is None else [corner for corner in bar.corners_px if corner is not None]
+    return min(3 * max(known), MOST_SLACK_PX) if known else 0.0
 
 
 def _may_show(pose: Pose, box: Box, side: BoxSide, marker: MarkerOnSide) -> bool:
@@ -161,7 +174,7 @@ def _outline_of_corners(
     return _with_margin(at(border), at(border + margin), surface)
 
 
-def _outline_of_pose(placed: _Placed, margin: float, camera: CameraModel) -> Array | None:
+def _outline_of_pose(placed: _Placed, margin: float, slack_px: float, camera: CameraModel) -> Array | None:
     """Outline (N, 2) px of a configured marker where the object's pose puts it."""
     box, side, marker, pose = placed.box, placed.side, placed.marker, placed.pose
 
@@ -170,7 +183,7 @@ def _outline_of_pose(placed: _Placed, margin: float, camera: CameraModel) -> Arr
         return _projected(_sides(corners), camera) if len(corners) else None
 
     widened = at(marker.border_mm + margin * marker.size_mm)
-    return _with_margin(at(marker.border_mm), widened, placed.surface)
+    return _with_margin(at(marker.border_mm), widened, placed.surface, MIN_MARGIN_PX + slack_px)
 
 
 def _sides(corners: Array) -> Array:
@@ -185,14 +198,16 @@ def _projected(xyz: Array, camera: CameraModel) -> Array | None:
     return pixels[front] if front.any() else None
 
 
-def _with_margin(border: Array | None, widened: Array | None, surface: Surface | None) -> Array | None:
-    """The widened outline, nowhere nearer than 3 px to the border's; the rest of it stays on the marker's side.
+def _with_margin(
+    border: Array | None, widened: Array | None, surface: Surface | None, least_px: float = MIN_MARGIN_PX
+) -> Array | None:
+    """The widened outline, nowhere nearer than ``least_px`` to the border's; the rest of it stays on the marker's side.
 
     No marker lies beyond the edge of its side, and an object's edge is what a detector learns it by.
     """
     if border is None or widened is None:
         return None
-    least = _grown(border, MIN_MARGIN_PX)
+    least = _grown(border, least_px)
     if surface is not None and surface.outline is not None:
         area, within = cv2.intersectConvexConvex(_bounded(_hull(widened)), _bounded(_hull(surface.outline)))
         widened = np.zeros((0, 2)) if area <= 0 else np.asarray(within, dtype=np.float64).reshape(-1, 2)

@@ -6,10 +6,11 @@ import argparse
 from types import ModuleType
 
 from common.errors import EXIT_USAGE
-from tools.evaluate import distance, pose
+from tools.evaluate import distance, inpaint, pose
 
 EVALUATIONS: dict[str, ModuleType] = {
     "distance": distance,
+    "inpaint": inpaint,
     "pose": pose,
 }
 """Each a module with ``add_parser(parser)`` and ``run(args) -> int``; its docstring is its help."""
