@@ -173,7 +173,7 @@ def wait_for_samples(session: Path, more: int) -> None:
 def check_session(session: Path) -> None:
     """Every sample of a session is complete, and there is no other file: nothing torn, nothing temporary."""
     reader = SessionReader(session)
-    expected = {"session.json"}
+    expected = {"session.json"} | {name for name in ("records.jsonl",) if (session / name).exists()}
     for sample in reader.samples():
         label = reader.label(sample)
         reader.verify(label)
