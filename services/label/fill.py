@@ -136,13 +136,16 @@ def _apart(area: Mask) -> Mask:
 
 def _one(task: _Task, sources: Mask, to_pixel: Array) -> Picture:
     """The crop with its hole filled from ``sources``; by Telea where there is too little of them."""
-    smooth = ground_and_stripes(task.bgr, sources, task.outline, to_pixel)
+    left, top, width, height = cv2.boundingRect(task.hole.view(np.uint8))
+    smooth = ground_and_stripes(task.bgr, sources, task.outline, to_pixel, (left, top, width, height))
     if smooth is None:
         return np.asarray(cv2.inpaint(task.bgr, task.hole.view(np.uint8), 3.0, cv2.INPAINT_TELEA), dtype=np.uint8)
-    texture = None if task.seed is None else grain(task.bgr, task.hole, sources, task.seed)
+    texture = None if task.seed is None else grain(task.bgr, sources, (width, height), task.seed)
     if texture is None:
-        return np.asarray(np.clip(np.rint(smooth), 0, 255), dtype=np.uint8)
-    return np.asarray(cv2.add(smooth, texture, dtype=cv2.CV_8U), dtype=np.uint8)
+        texture = np.zeros_like(smooth)
+    out = task.bgr.copy()
+    cv2.add(smooth, texture, dst=out[top : top + height, left : left + width], dtype=cv2.CV_8U)
+    return out
 
 
 def _outline(polygons: Sequence[ErasedPolygon], crop: Crop) -> Array:

@@ -30,8 +30,10 @@ _LEAST_SCALE = 1.5
 _SWEEPS = 4
 
 
-def ground_and_stripes(bgr: Picture, sources: Mask, outline: Array, to_pixel: Array) -> Floats | None:
-    """The fill without grain for a crop (H, W, 3); of the result (H, W, 3) float32 only what is to be filled counts.
+def ground_and_stripes(
+    bgr: Picture, sources: Mask, outline: Array, to_pixel: Array, part: tuple[int, int, int, int]
+) -> Floats | None:
+    """The fill without grain for a part (left, top, width, height) of a crop (H, W, 3), as (height, width, 3) float32.
 
     ``outline`` (N, 2) px is around what is to be filled, ``sources`` (H, W) may be looked at, ``to_pixel`` (3, 3)
     takes the plane to the crop's pixels. None if there is too little to look at.
@@ -43,7 +45,7 @@ def ground_and_stripes(bgr: Picture, sources: Mask, outline: Array, to_pixel: Ar
     weights = np.asarray(seen, dtype=np.float32) / np.float32(255)
     filled = _ground(values, weights)
     _add_stripes(filled, values, weights, grid.hole)
-    return grid.back(filled, sources.shape)
+    return grid.back(filled, part)
 
 
 def _ground(values: Floats, weights: Floats) -> Floats:

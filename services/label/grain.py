@@ -19,8 +19,8 @@ _RAMP = np.sin((np.arange(_BLOCK) + 0.5) * np.pi / _BLOCK)
 _WINDOW = np.outer(_RAMP, _RAMP).astype(np.float32)[..., None]
 
 
-def grain(bgr: Picture, hole: Mask, sources: Mask, seed: int) -> Floats | None:
-    """Grain (H, W, 3) float32 over the hole of a crop (H, W, 3), zero elsewhere; None if nothing can be learnt.
+def grain(bgr: Picture, sources: Mask, size: tuple[int, int], seed: int) -> Floats | None:
+    """Grain (height, width, 3) float32 of a size (width, height) for a crop (H, W, 3); None if none can be learnt.
 
     Blocks of the sources' residuals are laid half over each other, weighted so that their variance stays what it
     is in the sources (windows whose squares add up to one).
@@ -31,7 +31,7 @@ def grain(bgr: Picture, hole: Mask, sources: Mask, seed: int) -> Floats | None:
     residual, places = donors
     random = np.random.default_rng(seed)
     half = _BLOCK // 2
-    left, top, width, height = cv2.boundingRect(hole.view(np.uint8))
+    width, height = size
     down, along = height // half + 2, width // half + 2
     canvas = np.zeros(((down + 2) // 2 * _BLOCK + half, (along + 2) // 2 * _BLOCK + half, 3), dtype=np.float32)
     blocks = np.lib.stride_tricks.sliding_window_view(residual, (_BLOCK, _BLOCK), axis=(0, 1))
@@ -44,9 +44,7 @@ def grain(bgr: Picture, hole: Mask, sources: Mask, seed: int) -> Floats | None:
             laid = tiles.reshape(rows, columns, _BLOCK, _BLOCK, 3).swapaxes(1, 2)
             part = canvas[y : y + rows * _BLOCK, x : x + columns * _BLOCK]
             part += laid.reshape(part.shape)
-    out = np.zeros((*hole.shape, 3), dtype=np.float32)
-    out[top : top + height, left : left + width] = canvas[half : half + height, half : half + width]
-    return out
+    return canvas[half : half + height, half : half + width]
 
 
 def _donors(bgr: Picture, sources: Mask) -> tuple[Floats, NDArray[np.intp]] | None:

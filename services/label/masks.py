@@ -14,7 +14,7 @@ from common.labels import ErasedPolygon
 Mask = NDArray[np.uint8]
 
 _FRACTION_BITS = 4
-_AROUND = 0.3
+_AROUND = 0.25
 """How far around a region a fill looks, as a share of the region."""
 _LEAST_AROUND_PX = 24
 

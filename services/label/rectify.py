@@ -13,7 +13,7 @@ Floats = NDArray[np.float32]
 Picture = NDArray[np.uint8]
 Mask = NDArray[np.bool_]
 
-_AROUND = 0.25
+_AROUND = 0.2
 """How far the neighbourhood reaches beyond the hole, as a share of the hole, on each side."""
 _LEAST_AROUND = 14.0
 _MOST_CELLS = 224
@@ -40,10 +40,17 @@ class Grid:
         values = cv2.bitwise_and(values, values, mask=seen)
         return values.astype(np.float32), np.asarray(seen, dtype=np.uint8)
 
-    def back(self, values: Floats, shape: tuple[int, ...]) -> Floats:
-        """Values (h, w, 3) on the grid as a crop of (rows, columns) sees them; replicated beyond the grid."""
-        size = (shape[1], shape[0])
-        back = cv2.warpPerspective(values, self.to_pixel, size, flags=cv2.INTER_LINEAR, borderMode=cv2.BORDER_REPLICATE)
+    def back(self, values: Floats, part: tuple[int, int, int, int]) -> Floats:
+        """Values (h, w, 3) on the grid as a part (left, top, width, height) of the crop sees them."""
+        left, top, width, height = part
+        shift = np.array([[1.0, 0, -left], [0, 1.0, -top], [0, 0, 1.0]])
+        back = cv2.warpPerspective(
+            values,
+            shift @ self.to_pixel,
+            (width, height),
+            flags=cv2.INTER_LINEAR,
+            borderMode=cv2.BORDER_REPLICATE,
+        )
         return np.asarray(back, dtype=np.float32)
 
 

@@ -7,7 +7,7 @@ so every marker is widened in its own plane to its border plus a margin.
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Literal
 
 import cv2
@@ -25,6 +25,8 @@ Array = NDArray[np.float64]
 
 MIN_MARGIN_PX = 3.0
 MOST_SLACK_PX = 24.0
+SURE_PX = 12.0
+"""A pose that may be off by more says where markers may be, but not what lies before them."""
 GRAZING_DEG = 91.0
 """A side seen at a grazing angle may by its pose be turned away and yet show its marker as a thin line."""
 UNKNOWN_BORDER = 0.2
@@ -100,6 +102,8 @@ def _posed_markers(objects: Sequence[ObjectLabel], boxes: Sequence[Box], camera:
         for side, marker in box.markers():
             if _may_show(pose, box, side, marker) and not marker_hidden(pose, box, side, marker, others):
                 surface = surface_of_pose(box, side, marker, pose, camera, others)
+                if surface is not None and slack[box.name] > SURE_PX:
+                    surface = replace(surface, depth_row=None)
                 middle = camera.project(pose.apply(box.marker_pose(side, marker).translation))[0][0]
                 found.append(_Placed(box, side, marker, pose, surface, middle, slack[box.name]))
     return found

@@ -15,6 +15,8 @@ from services.label.windows import clip_near
 
 Array = NDArray[np.float64]
 _SQUARE = np.array([[-1.0, 1.0, 0.0], [1.0, 1.0, 0.0], [1.0, -1.0, 0.0], [-1.0, -1.0, 0.0]])
+_WORST_CONDITION = 1e9
+"""Of a homography; that of a marker on a side, from mm to pixels, has some 1e6."""
 _ALONG = np.linspace(0.0, 1.0, 8, endpoint=False)
 
 
@@ -86,7 +88,7 @@ def _homography(plane: Array, pixels: Array) -> Array | None:
     if not np.isfinite(pixels).all() or abs(cv2.contourArea(pixels.astype(np.float32))) < 1.0:
         return None
     found = cv2.getPerspectiveTransform(plane.astype(np.float32), pixels.astype(np.float32))
-    if not np.isfinite(found).all() or abs(np.linalg.det(found)) < 1e-12:
+    if not np.isfinite(found).all() or np.linalg.cond(found) > _WORST_CONDITION:
         return None
     return np.asarray(found, dtype=np.float64)
 

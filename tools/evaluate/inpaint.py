@@ -99,6 +99,7 @@ class Outcome:
     undetected: int = 0
     marker_pixels: int = 0
     marker_pixels_left: int = 0
+    frames_with_marker_left: list[int] = field(default_factory=list)
     found_before: Counter[str] = field(default_factory=Counter)
     shown: list[tuple[float, Row]] = field(default_factory=list)
 
@@ -110,6 +111,7 @@ class Outcome:
             "visible_markers_undetected": self.undetected,
             "marker_pixels": self.marker_pixels,
             "marker_pixels_outside_mask": self.marker_pixels_left,
+            "frames_with_marker_pixels_left": self.frames_with_marker_left,
             "found_before": dict(self.found_before),
             "not_installed": self.absent,
             "methods": [result.plain() for result in self.results.values()],
@@ -164,7 +166,10 @@ def _judge(case: Case, outcome: Outcome, searches: dict[str, Search]) -> None:
     if case.covered is not None:
         mask &= ~case.covered.keep
     outcome.marker_pixels += int(case.marker.sum())
-    outcome.marker_pixels_left += int((case.marker & ~mask).sum())
+    left = int((case.marker & ~mask).sum())
+    outcome.marker_pixels_left += left
+    if left:
+        outcome.frames_with_marker_left.append(outcome.frames.total())
     outcome.undetected += max(case.unseen, 0)
     outcome.found_before.update(_found(case.bgr, searches))
     count, numbers = cv2.connectedComponents(mask.view(np.uint8))
@@ -252,7 +257,8 @@ def _show(outcome: Outcome, document: dict[str, Any], out: Path | None) -> None:
     )
     console.print(f"Visible markers that were not detected: {outcome.undetected}")
     left, all_ = outcome.marker_pixels_left, outcome.marker_pixels
-    console.print(f"Marker pixels outside the erase mask: {left} of {all_}")
+    where = ", ".join(str(number) for number in outcome.frames_with_marker_left)
+    console.print(f"Marker pixels outside the erase mask: {left} of {all_}" + (f" (in frame {where})" if where else ""))
     before = ", ".join(f"{name} {count}" for name, count in outcome.found_before.items())
     console.print(f"Markers found before erasing: {before}")
     if outcome.absent:
