@@ -28,7 +28,7 @@ run: $(STAMP) ## start the stack with the rig of RIG=... (default: the synthetic
 	$(BIN)/tagmill up --rig $(or $(RIG),deploy/examples/synthetic.yaml)
 
 test: $(STAMP) ## everything but the long runs (under 10 minutes on 2 cores)
-	$(BIN)/python -m pytest -m 'not long' -n 3
+	$(BIN)/python -m pytest -m 'not long' -n 2
 
 test-long: $(STAMP) ## the long runs
 	$(BIN)/python -m pytest -m long
