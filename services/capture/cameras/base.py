@@ -64,6 +64,29 @@ class Description:
     warnings: tuple[str, ...] = ()
 
 
+@dataclass(frozen=True, slots=True)
+class Attached:
+    """A camera that a driver finds attached; how `tagmill cameras list` gets to know it.
+
+    A driver's module may offer ``attached() -> list[Attached]`` (another place is named in the registry's ``Entry``).
+    It is called in a process of its own with a deadline of 2 s, never opens a camera that may be in use for longer
+    than it needs, and logs nothing on stdout. What keeps the driver from looking at all is a CameraError (no
+    permission, a missing library) or an ImportError (no SDK: the registry adds the cure), each one clear sentence.
+
+    ``driver``: the registry's name. ``name``: the model, for people. ``serial`` is what the rig file's ``serial``
+    takes, ``address`` what finds it without (``/dev/video0``, a USB port, a URL); empty where there is none.
+    ``modes``: a few words each (``colour 1280x720 30``). ``note``: what is wrong with this one camera and what to do
+    (busy, USB 2, no permission), else empty.
+    """
+
+    driver: str
+    name: str
+    serial: str = ""
+    address: str = ""
+    modes: tuple[str, ...] = ()
+    note: str = ""
+
+
 class Camera(Protocol):
     """An open camera. Used from one thread; ``close`` is idempotent.
 
