@@ -14,6 +14,7 @@ from common.config.models import NetworkConfig
 from common.dataset import SessionReader
 from common.messages import DetectedMarker, Detections, FrameAnnounced, FrameRef, Truth
 from common.topics import DETECTIONS, FRAME, TRUTH
+from services.label.sightings import SEEN_NS
 from tests.support.stack import Stack, wait_for
 
 pytestmark = pytest.mark.process
@@ -45,13 +46,17 @@ ring: {slots: 8, samples: 16}
 
 
 class Overlooking:
-    """Plays detect from the renderer's truth; nothing of box-1 in every fourth frame, or in none while ``hidden``.
+    """Plays detect from the renderer's truth; nothing of box-1 in every fourth frame, or in any while ``hidden``.
+
+    ``captured_ns`` of each frame by its number, ``seen_ns`` of the last one in which box-1 was told.
 
     The pictures show no markers, so nothing but time tells where an overlooked box is.
     """
 
     def __init__(self) -> None:
         self.hidden = threading.Event()
+        self.seen_ns = 0
+        self.captured_ns: dict[int, int] = {}
         self._over = threading.Event()
         self._thread = threading.Thread(target=self._work)
         self._thread.start()
@@ -79,6 +84,9 @@ class Overlooking:
 
     def _tell(self, publisher: Publisher, ref: FrameRef, truth: Truth) -> None:
         overlooked = self.hidden.is_set() or ref.frame % 4 == 0
+        self.captured_ns[ref.frame] = ref.captured_mono_ns
+        if not overlooked:
+            self.seen_ns = ref.captured_mono_ns
         markers = tuple(
             DetectedMarker(id=marker.id, corners=marker.corners, kind="subpix")
             for item in truth.objects
@@ -133,10 +141,15 @@ def test_an_overlooked_box_is_interpolated_or_refused_by_name(
         assert erased & set(range(5)), "the markers of an interpolated box are erased"
 
     detector.hidden.set()
-    account, _ = record(client, 2)  # for a second the box must still be there; then it is taken for gone
+    account, recording = record(client, 2)  # for a second the box must still be there; then it is taken for gone
     assert account["recorded"] == 2
     assert account["refused"]["incomplete"] >= 1
-    refused = next(process for process in stack.processes if process.name == "services.label").events("sample.refused")
+    frames = [label.frame for label in map(session.label, session.samples()) if label.recording == recording]
+    assert len(frames) == 2
+    assert all(detector.captured_ns[frame] - detector.seen_ns > SEEN_NS for frame in frames)
+    label_process = next(process for process in stack.processes if process.name == "services.label")
+    wait_for(lambda: label_process.events("sample.refused"), 10, "the log's writer")
+    refused = label_process.events("sample.refused")
     assert {event["reason"] for event in refused} == {"incomplete"}
     assert all("box-1 was seen" in event["message"] for event in refused)
 

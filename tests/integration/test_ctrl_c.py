@@ -170,13 +170,13 @@ def test_a_second_up_is_refused_and_changes_nothing(up: Up) -> None:
     up.wait_ready()
     supervisor = up.supervisor()
     assert supervisor is not None
-    before = supervisor.processes()
+    before = [(process.name, process.pid) for process in supervisor.processes()]
     second = subprocess.run(command(up.rig), capture_output=True, text=True, timeout=DEADLINE_S, check=False)
     assert second.returncode == EXIT_NAME_TAKEN
     assert f"supervisord is process {up.process.pid}" in second.stderr
     assert "tagmill down" in second.stderr
     assert "Traceback" not in second.stderr
-    assert supervisor.processes() == before
+    assert [(process.name, process.pid) for process in supervisor.processes()] == before
     assert up.end(signal.SIGTERM) == 0
     assert up.left() == []
 

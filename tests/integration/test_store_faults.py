@@ -147,8 +147,8 @@ def test_a_killed_worker_costs_nothing(stack: Stack, label_side: StoreSide) -> N
     wait_for(lambda: workers_of(store), why="workers")[0].kill()
     for key in keys:
         assert label_side.answer_to(key).error is None
-    assert store.events("worker.died")
     assert store.stop() == 0
+    assert store.events("worker.died")
     check_whole(session_of(stack), *keys)
 
 

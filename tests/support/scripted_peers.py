@@ -2,11 +2,13 @@
 
 Announces the cameras ``cam0`` and ``cam1`` and obeys control's orders as a label process does, with outcomes that
 the order itself chooses: `record` on cam1 is refused (``no_object``), with ``background`` it is never answered;
-`start` with ``every_s`` 99 is refused on cam1. Each order is logged as the event ``order``.
+`start` with ``every_s`` 99 is refused on cam1. Each order is written to its log as the event ``order``
+before it is answered: a test that has the answer finds it there.
 """
 
 from __future__ import annotations
 
+import json
 import sys
 
 from common import clock
@@ -53,7 +55,8 @@ class ScriptedPeers:
         assert self._orders is not None
         self._poller.wait(min(timeout_s, 0.05))
         for return_, order in self._orders.receive():
-            self._context.log.info("order", **order.model_dump(mode="json"))
+            # Not through the log, whose writer thread may come after the answer.
+            print(json.dumps({"event": "order", **order.model_dump(mode="json")}), flush=True)
             answer = self._obey(order)
             if answer is not None:
                 self._answer(return_, answer)
