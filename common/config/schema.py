@@ -6,13 +6,15 @@ import json
 import re
 import types
 from collections.abc import Callable, Mapping
-from typing import Annotated, Any, Union, get_args, get_origin
+from typing import Annotated, Any, TypeVar, Union, get_args, get_origin
 
 from pydantic import BaseModel, ValidationError
 
 from common.config.models import DRIVER_OPTIONS, CameraConfig, RigConfig
 from common.config.problems import FieldPath, Problems, suggestion
 from common.config.tree import Tree
+
+Model = TypeVar("Model", bound=BaseModel)
 
 
 def read_schema(tree: Tree, problems: Problems) -> RigConfig:
@@ -38,6 +40,16 @@ def read_schema(tree: Tree, problems: Problems) -> RigConfig:
         if not first and not any(removed):
             return RigConfig()
         first = False
+
+
+def read_model(tree: Tree, problems: Problems, model: type[Model]) -> Model | None:
+    """A small file as a whole; None, with everything that is wrong with it noted, unless all of it is right."""
+    try:
+        return model.model_validate_json(json.dumps(tree.plain()), strict=True)
+    except ValidationError as error:
+        for one in error.errors(include_url=False):
+            _note(tree, _path(one["loc"]), one, problems, model)
+    return None
 
 
 def _stand_in(tree: Tree, path: FieldPath) -> bool:
@@ -182,6 +194,7 @@ def _otherwise(value: Any, error: Mapping[str, Any]) -> str:
 
 
 _REASONS: dict[str, _Reason] = {
+    "unfit": lambda _, error: str(error["msg"]),
     "int_type": _expected("a whole number"),
     "int_from_float": _expected("a whole number"),
     "int_parsing": _expected("a whole number"),

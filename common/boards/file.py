@@ -1,0 +1,49 @@
+"""Board descriptions as YAML: written beside a printed board, read by `tagmill calibrate`."""
+
+from __future__ import annotations
+
+import os
+from pathlib import Path
+
+import yaml
+
+from common.boards.model import Board
+from common.config.problems import Problems
+from common.config.schema import read_model
+from common.config.tree import read_tree
+from common.errors import ConfigError
+
+WHAT = "board description"
+
+
+def read_board(path: Path) -> Board:
+    """The board that a file describes.
+
+    Raises ConfigError with every mistake as ``file:line: field: reason``.
+    """
+    problems = Problems(path)
+    tree = read_tree(path, problems, WHAT)
+    board = None if tree is None else read_model(tree, problems, Board)
+    problems.raise_if_any()
+    if board is None:
+        raise ConfigError(f"{path}: is no board description")
+    return board
+
+
+def write_board(path: Path, board: Board) -> None:
+    """Write the description, whole or not at all, with the keys that its kind has. Raises ConfigError."""
+    document = board.model_dump(mode="json", exclude_none=True)
+    if board.kind == "chessboard":
+        del document["first_id"], document["border_bits"]
+    if board.kind != "charuco":
+        del document["legacy"]
+    text = "# A calibration board, for `tagmill calibrate`. Sizes in mm as sent to the printer.\n"
+    text += "# measured_scale: what the printed 100 mm ruler measures, divided by 100.\n"
+    text += yaml.safe_dump(document, sort_keys=False)
+    temporary = path.with_name(f".{path.name}.{os.getpid()}.tmp")
+    try:
+        temporary.write_text(text, encoding="utf-8")
+        temporary.replace(path)
+    except OSError as error:
+        temporary.unlink(missing_ok=True)
+        raise ConfigError(f"{path} can't be written: {error.strerror}; choose another place") from error
