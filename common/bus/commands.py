@@ -15,7 +15,7 @@ from common.bus.gatekeeper import Gatekeeper
 from common.bus.keys import client_pair, server_pair, server_public
 from common.bus.locks import NameLock
 from common.bus.order_server import Return
-from common.bus.sockets import Binding, Socket, new_socket
+from common.bus.sockets import Binding, Socket, drain, new_socket, reply
 from common.errors import CodecError, ConfigError, NameTakenError, NoAnswerError
 from common.messages import unpack
 
@@ -82,11 +82,7 @@ class CommandServer:
     def receive(self) -> list[tuple[Return, bytes]]:
         """The requests that are there, without waiting."""
         requests: list[tuple[Return, bytes]] = []
-        for _ in range(_MAX_DRAIN):
-            try:
-                identity, *parts = self._socket.recv_multipart(zmq.NOBLOCK)
-            except zmq.Again:
-                break
+        for identity, *parts in drain(self._socket, _MAX_DRAIN):
             *envelope, body = parts or [b""]
             return_ = Return(identity, tuple(envelope))
             # REQ sends an empty part first, perhaps with a request id before it; a plain DEALER sends none.
@@ -99,13 +95,7 @@ class CommandServer:
     def answer(self, return_: Return, answer: dict[str, Any]) -> None:
         """Send the answer; never blocks, a client that is gone is counted."""
         data = msgpack.packb(answer, use_bin_type=True)
-        try:
-            self._socket.send_multipart((return_.identity, *return_.envelope, data), zmq.NOBLOCK)
-        except zmq.Again:
-            self.unreachable += 1
-        except zmq.ZMQError as error:
-            if error.errno != zmq.EHOSTUNREACH:
-                raise
+        if not reply(self._socket, (return_.identity, *return_.envelope, data)):
             self.unreachable += 1
 
     def close(self) -> None:

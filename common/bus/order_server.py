@@ -9,7 +9,7 @@ from typing import Any, get_args
 import zmq
 
 from common import log
-from common.bus.sockets import ROOM_FOR_FRAMING, Binding, Socket, new_socket
+from common.bus.sockets import ROOM_FOR_FRAMING, Binding, Socket, drain, new_socket, reply
 from common.errors import CodecError
 from common.messages import MAX_BYTES, Answer, ErrorInfo, Order, encode, unpack, validate
 
@@ -63,11 +63,7 @@ class OrderServer:
     def receive(self) -> list[tuple[Return, Order]]:
         """The orders that are there, without waiting; garbage is counted and, if possible, answered."""
         orders: list[tuple[Return, Order]] = []
-        for _ in range(_MAX_DRAIN):
-            try:
-                identity, *parts = self._socket.recv_multipart(zmq.NOBLOCK)
-            except zmq.Again:
-                break
+        for identity, *parts in drain(self._socket, _MAX_DRAIN):
             return_ = Return(identity)
             plain: Any = None
             try:
@@ -79,13 +75,7 @@ class OrderServer:
 
     def answer(self, return_: Return, answer: Answer) -> None:
         """Send the final answer; never blocks, an unreachable client is counted."""
-        try:
-            self._socket.send_multipart((return_.identity, encode(answer)), zmq.NOBLOCK)
-        except zmq.Again:
-            self.unreachable += 1
-        except zmq.ZMQError as error:
-            if error.errno != zmq.EHOSTUNREACH:
-                raise
+        if not reply(self._socket, (return_.identity, encode(answer))):
             self.unreachable += 1
 
     def close(self) -> None:

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import os
 import socket as unix
-from collections.abc import Mapping
+from collections.abc import Iterator, Mapping, Sequence
 from typing import Any
 
 import zmq
@@ -33,6 +33,28 @@ def new_socket(
     for option, value in options.items():
         made.setsockopt(option, value)
     return made
+
+
+def drain(made: Socket, limit: int) -> Iterator[list[bytes]]:
+    """The messages that are there, at most ``limit``, without waiting."""
+    for _ in range(limit):
+        try:
+            yield made.recv_multipart(zmq.NOBLOCK)
+        except zmq.Again:
+            return
+
+
+def reply(router: Socket, parts: Sequence[bytes]) -> bool:
+    """Send to the client that ``parts[0]`` names, without waiting; False if it is gone or takes nothing."""
+    try:
+        router.send_multipart(parts, zmq.NOBLOCK)
+    except zmq.Again:
+        return False
+    except zmq.ZMQError as error:
+        if error.errno != zmq.EHOSTUNREACH:
+            raise
+        return False
+    return True
 
 
 def end_context() -> None:

@@ -10,7 +10,7 @@ import zmq
 from common import clock, log
 from common.bus.endpoints import Endpoints
 from common.bus.keyparts import has_valid_keys
-from common.bus.sockets import BUS_QUEUE, PREVIEW_QUEUE, ROOM_FOR_FRAMING, Socket, new_socket
+from common.bus.sockets import BUS_QUEUE, PREVIEW_QUEUE, ROOM_FOR_FRAMING, Socket, drain, new_socket
 from common.errors import CodecError
 from common.messages import MAX_BYTES, Message, Stamp, decode
 from common.topics import PREVIEW, Topic, topic_of
@@ -114,11 +114,7 @@ class Subscriber:
 
     def _arrived(self) -> Iterator[tuple[bytes, Topic, bytes]]:
         for made in self.sockets:
-            for _ in range(_MAX_DRAIN):
-                try:
-                    parts = made.recv_multipart(zmq.NOBLOCK)
-                except zmq.Again:
-                    break
+            for parts in drain(made, _MAX_DRAIN):
                 if (row := self._checked(parts)) is not None:
                     yield row
 
