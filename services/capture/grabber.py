@@ -40,7 +40,8 @@ JOIN_S = 5.0
 class Grabber:
     """Runs one camera in a thread of its own. ``open_camera`` is called in it, again after each loss.
 
-    ``failure`` is a ConfigError that no retry can mend; the main loop has to raise it.
+    ``failure`` is a ConfigError that no retry can mend; the main loop has to raise it. ``attempts``: losses before
+    this life, from which the back-off goes on.
     """
 
     def __init__(
@@ -53,6 +54,7 @@ class Grabber:
         log: FilteringBoundLogger,
         label_deadline_s: float = LABEL_DEADLINE_S,
         back_off_s: tuple[float, ...] = BACK_OFF_S,
+        attempts: int = 0,
     ) -> None:
         self.failure: ConfigError | None = None
         self._open_camera = open_camera
@@ -64,7 +66,7 @@ class Grabber:
         self._label_deadline_s = label_deadline_s
         self._back_off_s = back_off_s
         self._description: Description | None = None
-        self._attempts = 0
+        self._attempts = attempts
         self._position: int | None = None
         self._last_frame_ns = 0
         self._last_device_ns: int | None = None

@@ -19,6 +19,7 @@ from services.capture.cameras.intrinsics import label_of
 from services.capture.cameras.registry import load_driver
 from services.capture.cues import Cues
 from services.capture.grabber import Grabber
+from services.capture.last_life import SUFFIX, LastLife
 from services.capture.rings import Rings
 
 STALE_S = 5.0
@@ -39,6 +40,7 @@ class CaptureService:
         self._subscriber: Subscriber | None = None
         self._announcer: Announcer | None = None
         self._grabber: Grabber | None = None
+        self._life: LastLife | None = None
 
     def open(self) -> None:
         """Find the driver (ConfigError if it can't be used), start grabbing; the runner has swept dead rings."""
@@ -56,9 +58,11 @@ class CaptureService:
         self._announcer = Announcer(self._publisher, context.boot, config.driver, unopened, fps)
         rings = Rings(context.endpoints.prefix, context.id, context.boot, rig.config.ring.slots)
         log = context.log.bind(camera=name)
-        self._grabber = Grabber(
-            lambda: driver(name, config, rig), self._announcer, rings, self._cues, context.boot, log
-        )
+        life = LastLife(context.endpoints.run_dir / f"{context.id}{SUFFIX}", name, config.driver, log)
+        self._life = life
+        open_camera = life.guard(lambda: driver(name, config, rig))
+        attempts = life.died.count - 1 if life.died else 0
+        self._grabber = Grabber(open_camera, self._announcer, rings, self._cues, context.boot, log, attempts=attempts)
         self._poller = Poller(self._subscriber)
         self._announcer.repeat()
         self._grabber.start()
@@ -87,6 +91,9 @@ class CaptureService:
         if self._grabber is not None:
             self._grabber.stop()
             self._grabber = None
+        if self._life is not None:
+            self._life.end()
+            self._life = None
         for owner in (self._publisher, self._subscriber):
             if owner is not None:
                 owner.close()

@@ -14,18 +14,15 @@ from common.config.models import DRIVER_OPTIONS
 from common.errors import ConfigError
 from services.capture.cameras import registry
 from services.capture.cameras.files import FilesCamera
+from tests.support import third_party
 from tests.unit.services.capture.conftest import write_pictures
 
 ROOT = Path(__file__).resolve().parents[4]
 
 
 def install(folder: Path, monkeypatch: pytest.MonkeyPatch, name: str, target: str, module: str) -> None:
-    """A third party's package, as pip would leave it."""
-    about = folder / f"{name}_package-1.0.dist-info"
-    about.mkdir()
-    (about / "METADATA").write_text(f"Metadata-Version: 2.1\nName: {name}-package\nVersion: 1.0\n")
-    (about / "entry_points.txt").write_text(f"[tagmill.cameras]\n{name} = {target}\n")
-    (folder / f"{name}_module.py").write_text(module)
+    """A third party's package on this process's path."""
+    third_party.install(folder, name, module, target.rpartition(":")[2])
     monkeypatch.syspath_prepend(str(folder))
 
 
