@@ -113,10 +113,10 @@ class Announcer:
                 self._publisher.publish(TRUTH, (self._name,), told)
             self._publisher.publish(FRAME, (self._name,), FrameAnnounced(ref=ref))
 
-    def lose(self, reason: str, error: str | None = None) -> None:
+    def lose(self, reason: str, error: str | None = None, *, count: int = 1) -> None:
         """Count something that was lost; told with the next state."""
         with self._guard:
-            self._lost.add(reason)
+            self._lost.add(reason, count)
             if error is not None:
                 self._last_error = error
 
