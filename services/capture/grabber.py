@@ -35,8 +35,6 @@ SILENT_PERIODS = 5
 """A camera that gave nothing for this long (the longer of the two) is taken for lost."""
 BACK_OFF_S = (1.0, 2.0, 4.0, 8.0, 10.0)
 JOIN_S = 5.0
-LATEST_ARRIVAL_NS = 1_000_000_000
-"""A camera that claims to have taken a picture longer ago than this has a clock that can't be trusted."""
 
 
 class Grabber:
@@ -201,7 +199,7 @@ class Grabber:
         self._adopt(camera.describe())
         if grabbed.missed:
             self._announcer.lose("missed", count=grabbed.missed)
-        frame = self._put(grabbed, captured_ns=_taken_ns(grabbed, now))
+        frame = self._put(grabbed, captured_ns=now)
         self._advance()
         assert self._description is not None
         if self._description.paced and not self._cues.wait_label(frame, self._label_deadline_s):
@@ -259,10 +257,3 @@ class Grabber:
             self._announcer.lose(reason)
         if silent_s > max(SILENT_S, SILENT_PERIODS * period_s):
             raise CameraError(f"the camera {what} for {silent_s:.0f} s; check its cable and power; it is reopened")
-
-
-def _taken_ns(grabbed: Grabbed, arrived_ns: int) -> int:
-    """When the picture was taken: as the driver says, if that can be, else when it arrived."""
-    told = grabbed.host_ns
-    believable = told is not None and arrived_ns - LATEST_ARRIVAL_NS <= told <= arrived_ns
-    return told if told is not None and believable else arrived_ns

@@ -37,8 +37,7 @@ class Grabbed:
 
     ``bgr`` (H, W, 3) uint8 BGR, C-contiguous; ``depth`` (H, W) uint16 aligned to it, 0 = invalid. The arrays are
     the grabber's until its next call of ``grab``. ``device_ns``: the camera's own clock, any origin.
-    ``host_ns``: when the picture was taken by the host's monotonic clock, if the driver knows better than by its
-    arrival. ``source_name``: the picture's file name, or ``VIDEO#index``. ``truth``: what a renderer knows.
+    ``source_name``: the picture's file name, or ``VIDEO#index``. ``truth``: what a renderer knows.
     ``missed``: how many frames the camera has numbered since the one before that never arrived.
     """
 
@@ -47,7 +46,6 @@ class Grabbed:
     device_ns: int | None = None
     source_name: str | None = None
     truth: tuple[TrueObject, ...] | None = None
-    host_ns: int | None = None
     missed: int = 0
 
 
