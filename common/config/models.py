@@ -206,5 +206,16 @@ class FilesOptions(Section):
     pace: Literal["fps", "consumer"] = "fps"
 
 
-DRIVER_OPTIONS: dict[str, type[Section]] = {"synthetic": SyntheticOptions, "files": FilesOptions}
+class Kinect2Options(Section):
+    """Keys of ``driver: kinect2``. ``serial`` or the first found; ``pipeline`` computes the depth."""
+
+    serial: str | None = None
+    pipeline: Literal["cpu", "opengl", "opencl"] = "cpu"
+
+
+DRIVER_OPTIONS: dict[str, type[Section]] = {
+    "synthetic": SyntheticOptions,
+    "files": FilesOptions,
+    "kinect2": Kinect2Options,
+}
 """Built-in drivers and the model of their keys; other drivers check their own."""

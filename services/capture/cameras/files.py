@@ -2,16 +2,15 @@
 
 from __future__ import annotations
 
-from pydantic import ValidationError
-
 from common.config import Rig
 from common.config.models import CameraConfig, FilesOptions
-from common.errors import CameraError, ConfigError
+from common.errors import CameraError
 from common.geometry import CameraModel
 from common.labels import CameraLabel
 from services.capture.cameras.base import Description, EndOfStreamError, FrameSkippedError, Grabbed
 from services.capture.cameras.file_sources import FileFrame, Source, open_source
 from services.capture.cameras.intrinsics import fit_to_size, label_of
+from services.capture.cameras.options import read_options
 from services.capture.cameras.pacing import Pacer
 
 PICTURES_PER_S = 10.0
@@ -29,7 +28,7 @@ class FilesCamera:
     def __init__(self, name: str, config: CameraConfig, rig: Rig) -> None:
         self._name = name
         self._config = config
-        self._options = _options(name, config)
+        self._options = read_options(name, config, FilesOptions)
         self._calibration = rig.calibration(name)
         self._depth = self._options.depth_path is not None
         depth_path = None if self._options.depth_path is None else rig.resolve(self._options.depth_path)
@@ -135,14 +134,3 @@ class FilesCamera:
             return fit_to_size(self._calibration, width, height)
         except CameraError as error:
             raise FrameSkippedError(f"{name}: {error.message}", "wrong_size") from error
-
-
-def _options(name: str, config: CameraConfig) -> FilesOptions:
-    try:
-        return FilesOptions.model_validate(config.options)
-    except ValidationError as error:
-        problems = tuple(
-            f"cameras.{name}.{'.'.join(str(part) for part in item['loc'])}: {item['msg']}"
-            for item in error.errors(include_url=False)
-        )
-        raise ConfigError(f"camera {name} can't be used: {'; '.join(problems)}", problems) from error

@@ -35,6 +35,10 @@ BUILT_IN: dict[str, Entry] = {
         "services.capture.cameras.synthetic:SyntheticCamera", "install tagmill with its dependencies: make setup"
     ),
     "files": Entry("services.capture.cameras.files:FilesCamera", "install tagmill with its dependencies: make setup"),
+    "kinect2": Entry(
+        "services.capture.cameras.kinect2:Kinect2Camera",
+        "install libfreenect2, then pip install 'tagmill[kinect2]', as docs/how-to/kinect-v2.md says",
+    ),
 }
 
 

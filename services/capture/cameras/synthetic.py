@@ -3,17 +3,16 @@
 from __future__ import annotations
 
 import numpy as np
-from pydantic import ValidationError
 
 from common.config import Rig
 from common.config.models import CameraConfig, SyntheticOptions
-from common.errors import ConfigError
 from common.geometry import CameraModel
 from common.labels import CameraLabel
 from common.markers import family
 from common.scene import Rendered, Scene, SceneCamera, burn_number
 from services.capture.cameras.base import Description, EndOfStreamError, Grabbed
 from services.capture.cameras.intrinsics import label_of
+from services.capture.cameras.options import read_options
 from services.capture.cameras.pacing import Pacer
 
 SIZE = (1280, 720)
@@ -29,7 +28,7 @@ class SyntheticCamera:
     """
 
     def __init__(self, name: str, config: CameraConfig, rig: Rig) -> None:
-        self._options = options = _options(name, config)
+        self._options = options = read_options(name, config, SyntheticOptions)
         self._fps = config.fps or FPS
         self._label = _intrinsics(name, config, options, rig)
         model = CameraModel.from_label(self._label)
@@ -86,15 +85,6 @@ class SyntheticCamera:
         return self._camera.render(
             index, markers=options.markers, noise=options.noise, blur_px=options.blur_px, depth=options.depth
         )
-
-
-def _options(name: str, config: CameraConfig) -> SyntheticOptions:
-    try:
-        return SyntheticOptions.model_validate(config.options)
-    except ValidationError as error:
-        first = error.errors()[0]
-        where = ".".join(str(part) for part in first["loc"])
-        raise ConfigError(f"cameras.{name}.{where}: {first['msg']}") from error
 
 
 def _intrinsics(name: str, config: CameraConfig, options: SyntheticOptions, rig: Rig) -> CameraLabel:
