@@ -22,8 +22,9 @@ GRID = (8, 6)
 
 @dataclass(frozen=True)
 class Stance:
-    """How the board stood: ``tilt_deg`` between its normal and the line of sight, ``towards_deg`` the direction in
-    the picture to which its normal leans (0 right, 90 down), ``distance_mm`` of its middle."""
+    """How the board stood: ``tilt_deg`` out of the picture's plane (a board parallel to it says nothing about the focal
+    length, wherever it is), ``towards_deg`` the direction in the picture to which it looks (0 right, 90 down),
+    ``distance_mm`` of its middle, its unit ``normal`` in the camera's frame, towards the camera."""
 
     tilt_deg: float
     towards_deg: float
@@ -117,7 +118,7 @@ def stance(view: View, camera: CameraModel | None = None, pose: Array | None = N
     middle = rotation @ view.points.mean(axis=0) + pose[3:]
     distance = float(np.linalg.norm(middle))
     normal = -rotation[:, 2] if rotation[:, 2] @ middle > 0 else rotation[:, 2]
-    tilt = float(np.degrees(np.arccos(np.clip(-normal @ middle / max(distance, 1e-9), -1, 1))))
+    tilt = float(np.degrees(np.arccos(np.clip(-normal[2], -1, 1))))
     towards = float(np.degrees(np.arctan2(normal[1], normal[0])) % 360)
     return Stance(tilt, towards, distance, (float(normal[0]), float(normal[1]), float(normal[2])))
 
