@@ -64,6 +64,13 @@ class CameraError(TagmillError):
     code = "camera"
 
 
+class CameraStuckError(CameraError):
+    """A driver hangs in a call and can't be got out of it: the process must end, its supervisor starts it again."""
+
+    code = "camera_stuck"
+    exit_code = EXIT_BUG
+
+
 class CodecError(TagmillError):
     """Bytes from the wire are no valid message of the expected type."""
 

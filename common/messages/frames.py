@@ -34,13 +34,14 @@ class FrameAnnounced(Message):
     ref: FrameRef
 
 
-CameraPhase = Literal["opening", "streaming", "waiting", "ended", "lost"]
+CameraPhase = Literal["opening", "streaming", "waiting", "ended", "stalled", "lost"]
 
 
 class CameraState(Message):
     """A camera describes itself, once a second and at every change.
 
-    ``waiting``: a file camera that plays when a recording starts; ``lost``: reconnecting.
+    ``waiting``: a file camera that plays when a recording starts; ``lost``: reconnecting;
+    ``stalled``: the driver doesn't come back from a call. ``newest_mono_ns`` is when the newest frame was taken.
     ``captured`` is the ``count`` of the newest frame; ``played_for`` the recording that a file camera plays
     (or played) for, with ``play_first`` the count of that pass's first frame. ``paced``: the camera waits for
     the label of a frame before it gives the next.
@@ -59,6 +60,7 @@ class CameraState(Message):
     played_for: str | None = None
     play_first: int = 0
     paced: bool = False
+    newest_mono_ns: int = 0
 
 
 class TrueMarker(Part):

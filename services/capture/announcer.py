@@ -25,11 +25,15 @@ REPEAT_NS = 1_000_000_000
 NEXT_PHASES: dict[CameraPhase, frozenset[CameraPhase]] = {
     "opening": frozenset({"streaming", "waiting", "lost"}),
     "waiting": frozenset({"streaming", "lost"}),
-    "streaming": frozenset({"waiting", "ended", "lost"}),
+    "streaming": frozenset({"waiting", "ended", "lost", "stalled"}),
     "ended": frozenset({"streaming", "lost"}),
+    "stalled": frozenset({"streaming", "waiting", "ended", "lost"}),
     "lost": frozenset({"streaming", "waiting", "ended"}),
 }
 """Which phase may follow which; a phase may also be entered again."""
+
+
+_FAULTS = ("lost", "stalled")
 
 
 @dataclass(frozen=True, slots=True)
@@ -56,6 +60,7 @@ class Announcer:
         self._ring = ""
         self._phase: CameraPhase = "opening"
         self._captured = 0
+        self._newest_ns = 0
         self._lost = Tally()
         self._last_error: str | None = None
         self._pass: Pass | None = None
@@ -81,10 +86,20 @@ class Announcer:
         with self._guard:
             if phase != self._phase and phase not in NEXT_PHASES[self._phase]:
                 raise ValueError(f"camera {self._name}: {phase} does not follow {self._phase}")
-            if error is not None or self._phase == "lost":
+            if error is not None or self._phase in _FAULTS:
                 self._last_error = error
             self._phase = phase
             self._publish_state()
+
+    def stall(self, error: str) -> bool:
+        """Enter ``stalled`` if the camera streams (the grab thread may just have changed that); whether it does now."""
+        with self._guard:
+            if self._phase == "streaming":
+                self._phase, self._last_error = "stalled", error
+                self._lost.add("stalled")
+                self._publish_state()
+                return True
+            return False
 
     def describe(self, description: Description, ring: str) -> None:
         """Publish what the camera says of itself, before the first frame for which it holds."""
@@ -105,6 +120,7 @@ class Announcer:
     def frame(self, ref: FrameRef, truth: tuple[TrueObject, ...] | None) -> None:
         """Announce a frame that is in the ring."""
         with self._guard:
+            self._newest_ns = ref.captured_mono_ns
             if not ref.preview:
                 self._captured = ref.count
                 self._rate.mark()
@@ -138,7 +154,7 @@ class Announcer:
                 dropped=dropped,
                 numbers={"captured": float(self._captured)},
                 last_error=self._last_error,
-                faulty=self._phase == "lost",
+                faulty=self._phase in _FAULTS,
                 warnings=self._warned,
             )
 
@@ -158,5 +174,6 @@ class Announcer:
             played_for=self._pass.recording if self._pass else None,
             play_first=self._pass.first if self._pass else 0,
             paced=self._description.paced,
+            newest_mono_ns=self._newest_ns,
         )
         self._publisher.publish(CAMERA, (self._name,), state)

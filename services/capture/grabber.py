@@ -7,7 +7,6 @@ from __future__ import annotations
 
 import threading
 from collections.abc import Callable
-from contextlib import closing
 
 from structlog.typing import FilteringBoundLogger
 
@@ -24,7 +23,10 @@ from services.capture.cameras.base import (
     Rewindable,
 )
 from services.capture.cues import Cues
+from services.capture.device_clock import Stamper
+from services.capture.repeats import Repeats
 from services.capture.rings import Rings
+from services.capture.watchdog import Watchdog
 
 GRAB_S = 0.5
 """One call of a driver waits this long at most, so that a stop is heeded soon."""
@@ -59,6 +61,7 @@ class Grabber:
         self.failure: ConfigError | None = None
         self._open_camera = open_camera
         self._announcer = announcer
+        self.watchdog = Watchdog(announcer, log)
         self._rings = rings
         self._cues = cues
         self._boot = boot
@@ -69,7 +72,10 @@ class Grabber:
         self._attempts = attempts
         self._position: int | None = None
         self._last_frame_ns = 0
-        self._last_device_ns: int | None = None
+        self._arrived_ns = 0
+        self._serial: str | None = None
+        self._repeats = Repeats()
+        self._stamper = Stamper()
         self._thread = threading.Thread(target=self._run, name="grabber", daemon=True)
 
     def start(self) -> None:
@@ -88,8 +94,13 @@ class Grabber:
     def _run(self) -> None:
         while not self._cues.stopping():
             try:
-                with closing(self._open_camera()) as camera:
+                with self.watchdog.of("open"):
+                    camera = self._open_camera()
+                try:
                     self._serve(camera)
+                finally:
+                    with self.watchdog.of("close"):
+                        camera.close()
             except ConfigError as error:
                 self.failure = error
                 return
@@ -107,7 +118,9 @@ class Grabber:
     def _serve(self, camera: Camera) -> None:
         """Everything with one opened camera; returns when the thread must end."""
         description = camera.describe()
+        self._check_serial(description)
         self._adopt(description)
+        self._repeats, self._stamper = Repeats(), Stamper()
         self._log.info("camera.opened", width=description.camera.width, height=description.camera.height)
         if description.waits_for_start:
             if not isinstance(camera, Rewindable):
@@ -157,7 +170,7 @@ class Grabber:
         self._last_frame_ns = clock.monotonic_ns()
         while not self._cues.stopping():
             try:
-                first = camera.grab(GRAB_S)
+                first = self._grab(camera)
             except TimeoutError:
                 self._check_silence("timeout", "gave no picture")
                 continue
@@ -172,10 +185,10 @@ class Grabber:
     def _stream(self, camera: Camera) -> bool:
         """Grab until the end of the stream (True), or until that must be broken off (False)."""
         self._last_frame_ns = clock.monotonic_ns()
-        self._last_device_ns = None
+        self._repeats = Repeats()
         while not self._cues.cut():
             try:
-                grabbed = camera.grab(GRAB_S)
+                grabbed = self._grab(camera)
             except EndOfStreamError:
                 return True
             except TimeoutError:
@@ -186,22 +199,32 @@ class Grabber:
                 self._log.warning("frame.skipped", reason=error.reason, why=error.message)
                 self._advance()
                 continue
-            if self._is_repeated(grabbed):
+            description = self._description
+            by_picture = description is not None and description.stamps != "media"
+            if self._repeats.repeated(grabbed, by_picture=by_picture):
                 self._check_silence("frozen", "gave the same picture again and again")
                 continue
             self._take(camera, grabbed)
         return False
 
+    def _grab(self, camera: Camera) -> Grabbed:
+        with self.watchdog.of("grab"):
+            grabbed = camera.grab(GRAB_S)
+        self._arrived_ns = clock.monotonic_ns()
+        return grabbed
+
     def _take(self, camera: Camera, grabbed: Grabbed) -> None:
-        now = clock.monotonic_ns()
-        self._last_frame_ns, self._last_device_ns = now, grabbed.device_ns
+        self._last_frame_ns = self._arrived_ns
         self._attempts = 0
         self._adopt(camera.describe())
         if grabbed.missed:
             self._announcer.lose("missed", count=grabbed.missed)
-        frame = self._put(grabbed, captured_ns=now)
-        self._advance()
         assert self._description is not None
+        taken_ns = self._stamper.stamp(self._description.stamps, grabbed.device_ns, self._arrived_ns)
+        if self._announcer.phase == "stalled":
+            self._announcer.enter("streaming")
+        frame = self._put(grabbed, captured_ns=taken_ns)
+        self._advance()
         if self._description.paced and not self._cues.wait_label(frame, self._label_deadline_s):
             self._announcer.lose("label_late")
             self._log.warning("frame.label_late", frame=frame, deadline_s=self._label_deadline_s)
@@ -241,8 +264,15 @@ class Grabber:
             self._announcer.describe(description, self._rings.name)
         self._description = description
 
-    def _is_repeated(self, grabbed: Grabbed) -> bool:
-        return grabbed.device_ns is not None and grabbed.device_ns == self._last_device_ns
+    def _check_serial(self, description: Description) -> None:
+        """A camera that was lost is taken up again by its serial number: another one is not this camera."""
+        serial, known = description.camera.serial, self._serial
+        if serial is not None and known is not None and serial != known:
+            raise CameraError(
+                f"the camera with serial {known} is gone and {serial} is there instead; plug the first one in again, "
+                "or restart this camera's capture process to go on with the other (give it `serial:` in the rig file)"
+            )
+        self._serial = serial or known
 
     def _advance(self) -> None:
         if self._position is not None:

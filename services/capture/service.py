@@ -74,6 +74,7 @@ class CaptureService:
         assert self._grabber is not None
         if self._grabber.failure is not None:
             raise self._grabber.failure
+        self._grabber.watchdog.look()
         self._poller.wait(timeout_s)
         for received in self._subscriber.receive(max_age_s=STALE_S):
             if isinstance(received.message, Labels):

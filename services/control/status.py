@@ -67,6 +67,7 @@ def _camera(stack: Stack, name: str, seen: SeenCamera, now_ns: int) -> Plain:
         "calibration": state.camera.intrinsics_from,
         "serial": state.camera.serial,
         "captured": state.captured,
+        "frame_age_s": _age(state.newest_mono_ns, now_ns) if state.newest_mono_ns else None,
         "lost": state.lost,
         "last_error": state.last_error,
     }

@@ -12,6 +12,7 @@ Plain = dict[str, Any]
 
 _GOOD = ("running", "streaming", "ended")
 _GB = 1e9
+_LATE_S = 2.0
 
 
 def status_view(answer: Plain) -> RenderableType:
@@ -75,11 +76,11 @@ def _services(answer: Plain) -> Table:
 def _cameras(answer: Plain) -> Table:
     table = _table("cameras", "camera", "state", "picture", "frames/s", "intrinsics", "captured", "lost", "label")
     for name, camera in answer["cameras"].items():
-        word = camera["phase"] if camera["present"] else f"silent for {camera['age_s']:.0f} s"
+        word = _camera_state(camera)
         share = answer["shares"]["label"].get(name)
         table.add_row(
             name,
-            _state(word, good=camera["present"] and camera["phase"] in (*_GOOD, "waiting")),
+            _state(word, good=word in (*_GOOD, "waiting")),
             f"{camera['width']}x{camera['height']}{' + depth' if camera['depth'] else ''}",
             f"{camera['fps']:g}",
             camera["calibration"],
@@ -88,6 +89,15 @@ def _cameras(answer: Plain) -> Table:
             "" if share is None else f"label.{share}",
         )
     return table
+
+
+def _camera_state(camera: Plain) -> str:
+    """Its phase; with how long ago the last picture came where that matters."""
+    if not camera["present"]:
+        return f"silent for {camera['age_s']:.0f} s"
+    phase, age_s = str(camera["phase"]), camera.get("frame_age_s")
+    late = phase in ("lost", "stalled") or (phase == "streaming" and (age_s or 0) > _LATE_S)
+    return f"{phase}, last picture {age_s:.0f} s ago" if late and age_s is not None else phase
 
 
 def _recordings(answer: Plain) -> Table:

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import Protocol, runtime_checkable
+from typing import Literal, Protocol, runtime_checkable
 
 import numpy as np
 from numpy.typing import NDArray
@@ -49,6 +49,9 @@ class Grabbed:
     missed: int = 0
 
 
+Stamps = Literal["arrival", "device", "monotonic", "media"]
+
+
 @dataclass(frozen=True, slots=True)
 class Description:
     """What a camera says of itself; fits the frame that was grabbed last (or will be grabbed first).
@@ -56,6 +59,11 @@ class Description:
     ``depth_unit_mm``: mm per step of the depth picture, None = no depth. ``fps`` is nominal. ``paced``: the grabber
     waits for a frame's label before it grabs the next. ``waits_for_start``: plays when a recording starts; such a
     driver is a ``Rewindable``. ``warnings``: sentences for the operator.
+
+    ``stamps``: how the grabber gets a frame's host time. ``arrival``: when ``grab`` gave it. ``device``: ``device_ns``
+    is of a camera's running clock, which is mapped to the host's (any origin, any drift: ``device_clock``).
+    ``monotonic``: ``device_ns`` *is* the host's CLOCK_MONOTONIC (V4L2). ``media``: recorded pictures, whose
+    ``device_ns`` is their own time; stamped by arrival, and the only ones that may look the same for long.
     """
 
     camera: CameraLabel
@@ -63,6 +71,7 @@ class Description:
     depth_unit_mm: float | None = None
     paced: bool = False
     waits_for_start: bool = False
+    stamps: Stamps = "arrival"
     warnings: tuple[str, ...] = ()
 
 

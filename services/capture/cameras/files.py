@@ -120,6 +120,7 @@ class FilesCamera:
             depth_unit_mm=self._options.depth_unit_mm if self._depth else None,
             paced=self._options.pace == "consumer",
             waits_for_start=not self._options.loop and self._options.begin == "on_start",
+            stamps="media",
             warnings=warnings,
         )
 

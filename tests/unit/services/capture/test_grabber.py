@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections.abc import Callable, Iterator
 from pathlib import Path
 from queue import Empty, Queue
+from threading import Event
 
 import cv2
 import numpy as np
@@ -14,7 +15,7 @@ from common import log
 from common.bus import Endpoints, Proxy, Publisher
 from common.config import Rig
 from common.config.models import NetworkConfig
-from common.errors import CameraError, ConfigError
+from common.errors import CameraError, CameraStuckError, ConfigError
 from common.frames import FrameReader, shm_folder
 from common.geometry import CameraModel
 from common.labels import Window
@@ -27,6 +28,7 @@ from services.capture.cameras.intrinsics import label_of
 from services.capture.cues import Cues
 from services.capture.grabber import Grabber
 from services.capture.rings import Rings
+from services.capture.watchdog import STUCK_S
 from tests.support.hygiene import Place
 from tests.support.stack import Listener, wait_for
 from tests.unit.services.capture.conftest import grey_picture, write_pictures, write_video
@@ -279,6 +281,133 @@ def test_a_silent_camera_is_taken_for_lost(rigged: Rigged, monkeypatch: pytest.M
     assert state.lost["timeout"] > 0
 
 
+def test_a_live_camera_whose_picture_never_changes_is_taken_for_lost(
+    rigged: Rigged, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr("services.capture.grabber.SILENT_S", 0.2)
+    acts: Queue[Act] = Queue()
+    rigged.run(lambda: Script(acts, fps=100))
+    for _ in range(400):
+        acts.put(picture(7))
+        if rigged.announcer.phase == "lost":
+            break
+        wait_for(lambda: acts.empty(), 10.0)
+    state = rigged.state("lost")
+    assert "the same picture again and again" in (state.last_error or "")
+    assert state.lost["frozen"] > 0
+
+
+class Hanging:
+    """A camera whose driver doesn't come back from `grab` until the test lets it."""
+
+    def __init__(self, script: Script, hang: Event, go_on: Event) -> None:
+        self._script = script
+        self._hang = hang
+        self._go_on = go_on
+
+    def grab(self, timeout_s: float) -> Grabbed:
+        if self._hang.is_set():
+            self._go_on.wait(60)
+        return self._script.grab(timeout_s)
+
+    def describe(self) -> Description:
+        return self._script.describe()
+
+    def close(self) -> None:
+        self._script.close()
+
+
+def test_a_driver_that_hangs_is_stalled_and_streams_again(rigged: Rigged, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr("services.capture.watchdog.STALLED_S", 0.1)
+    acts: Queue[Act] = Queue()
+    hang, go_on = Event(), Event()
+    rigged.run(lambda: Hanging(Script(acts), hang, go_on))
+    acts.put(picture(1, 10))
+    ref = rigged.frame()
+    assert rigged.grabber is not None
+    watchdog = rigged.grabber.watchdog
+    hang.set()
+
+    def stalled() -> bool:
+        watchdog.look()
+        return rigged.announcer.phase == "stalled"
+
+    wait_for(stalled, 20.0, "the stall")
+    state = rigged.state("stalled")
+    assert "does not come back from 'grab'" in (state.last_error or "")
+    assert (state.newest_mono_ns, state.lost) == (ref.captured_mono_ns, {"stalled": 1})
+    assert rigged.announcer.report().faulty
+    hang.clear()
+    go_on.set()
+    acts.put(picture(2, 20))
+    assert rigged.frame().count == 2
+    assert rigged.announcer.phase == "streaming"
+    assert rigged.announcer.report().last_error is None
+
+
+def test_a_driver_that_hangs_for_too_long_ends_its_process(rigged: Rigged, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setitem(STUCK_S, "grab", 0.2)
+    hang, go_on = Event(), Event()
+    hang.set()
+    rigged.run(lambda: Hanging(Script(Queue()), hang, go_on))
+    assert rigged.grabber is not None
+    watchdog = rigged.grabber.watchdog
+
+    def stuck() -> CameraStuckError | None:
+        try:
+            watchdog.look()
+        except CameraStuckError as error:
+            return error
+        return None
+
+    error = wait_for(stuck, 20.0, "the end")
+    assert error.exit_code == 1, "a supervisor starts it again"
+    assert "not come back from 'grab'" in error.message
+    go_on.set()
+
+
+def test_another_camera_is_not_taken_for_the_one_that_was_lost(rigged: Rigged) -> None:
+    acts: Queue[Act] = Queue()
+    serials = Queue[str]()
+    for serial in ("A", "B", "A"):
+        serials.put(serial)
+
+    def open_camera() -> Script:
+        script = Script(acts)
+        camera = label_of("cam0", CameraModel.guess(64, 48), intrinsics_from="factory", serial=serials.get(timeout=30))
+        script._description = Description(camera, 1)
+        return script
+
+    rigged.run(open_camera)
+    rigged.state("streaming")
+    acts.put(CameraError("the cable is out"))
+    assert "serial A is gone and B is there instead" in (
+        rigged.ear.wait_for(
+            lambda received: "instead" in (getattr(received.message, "last_error", None) or ""), why="the other one"
+        ).message.last_error
+    )
+    assert rigged.state("streaming").camera.serial == "A"
+
+
+def test_a_device_clock_takes_the_jitter_out_of_the_stamps(rigged: Rigged) -> None:
+    acts: Queue[Act] = Queue()
+
+    def open_camera() -> Script:
+        script = Script(acts)
+        script._description = Description(script._description.camera, 1, stamps="device")
+        return script
+
+    rigged.run(open_camera)
+    refs = []
+    for number in range(6):
+        acts.put(picture(number, 1_000_000 * number))
+        refs.append(rigged.frame())
+    times = np.array([ref.captured_mono_ns for ref in refs])
+    assert [ref.device_ns for ref in refs] == [1_000_000 * number for number in range(6)]
+    assert (np.diff(times) > 0).all()
+    assert times[-1] - times[0] <= 5_000_000, "as far apart as the camera says, however late they were grabbed"
+
+
 def test_a_new_size_is_a_new_ring_told_before_its_first_frame(rigged: Rigged) -> None:
     acts: Queue[Act] = Queue()
     rigged.run(lambda: Script(acts))
@@ -467,9 +596,20 @@ def test_pictures_of_differing_size_are_all_played(
 
 
 def test_phases_follow_their_table(rigged: Rigged) -> None:
-    assert set(NEXT_PHASES) == {"opening", "waiting", "streaming", "ended", "lost"}
+    assert set(NEXT_PHASES) == {"opening", "waiting", "streaming", "ended", "stalled", "lost"}
     with pytest.raises(ValueError, match="ended does not follow opening"):
         rigged.announcer.enter("ended")
-    for phase in ("waiting", "streaming", "ended", "streaming", "lost", "lost", "waiting", "lost", "streaming"):
+    for phase in (
+        "waiting",
+        "streaming",
+        "ended",
+        "streaming",
+        "lost",
+        "lost",
+        "waiting",
+        "lost",
+        "streaming",
+        "stalled",
+    ):
         rigged.announcer.enter(phase)
         assert rigged.announcer.phase == phase
