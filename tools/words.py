@@ -30,7 +30,9 @@ WORDS: dict[str, Words] = {
     # --- cameras and frames ------------------------------------------------------------------------------------
     "no_camera": Words("There is no such camera.", "Take one of those named; 'tagmill status' lists them."),
     "camera": Words("The camera can't be used.", "Check its cable and its section of the rig file."),
-    "camera_stuck": Words("The camera's driver hangs.", "Its process is started anew; unplug the camera and plug it in."),
+    "camera_stuck": Words(
+        "The camera's driver hangs.", "Its process is started anew; unplug the camera and plug it in."
+    ),
     "cameras_failed": Words("Not all cameras did it.", "What the others gave is kept; see each camera's reason."),
     "no_frame": Words("No picture came from the camera.", "Check its cable; 'tagmill status' says how it is."),
     "frame_gone": Words("That frame is gone.", "Ask for a newer one, or leave 'frame' out."),

@@ -199,11 +199,10 @@ class Grabber:
                 self._log.warning("frame.skipped", reason=error.reason, why=error.message)
                 self._advance()
                 continue
-            description = self._description
-            by_picture = description is not None and description.stamps != "media"
-            if self._repeats.repeated(grabbed, by_picture=by_picture):
+            if self._repeats.repeated(grabbed):
                 self._check_silence("frozen", "gave the same picture again and again")
                 continue
+            self._check_still(grabbed)
             self._take(camera, grabbed)
         return False
 
@@ -267,7 +266,7 @@ class Grabber:
     def _check_serial(self, description: Description) -> None:
         """A camera that was lost is taken up again by its serial number: another one is not this camera."""
         serial, known = description.camera.serial, self._serial
-        if serial is not None and known is not None and serial != known:
+        if None not in (serial, known) and serial != known:
             raise CameraError(
                 f"the camera with serial {known} is gone and {serial} is there instead; plug the first one in again, "
                 "or restart this camera's capture process to go on with the other (give it `serial:` in the rig file)"
@@ -277,6 +276,18 @@ class Grabber:
     def _advance(self) -> None:
         if self._position is not None:
             self._position += 1
+
+    def _check_still(self, grabbed: Grabbed) -> None:
+        """CameraError if a live camera that has no clock has given one picture, bit by bit, for too long."""
+        assert self._description is not None
+        if self._description.stamps == "media":
+            return
+        still_s = self._repeats.still_ns(grabbed, self._arrived_ns) / 1e9
+        if still_s > max(SILENT_S, SILENT_PERIODS / self._description.fps):
+            self._announcer.lose("frozen")
+            raise CameraError(
+                f"the camera gave one and the same picture for {still_s:.0f} s, without even its noise; it is reopened"
+            )
 
     def _check_silence(self, reason: str, what: str) -> None:
         """Count a grab without a frame; CameraError if that has gone on for too long."""

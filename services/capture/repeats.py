@@ -13,30 +13,37 @@ _STEP = 16
 
 
 class Repeats:
-    """Whether a frame is the one before once more.
+    """Judges the frames of one stream in their order.
 
-    By its device time if it has one; else by its picture, which no live camera gives twice, bit by bit (its noise
-    alone changes it). Looks at a few pixels, and at all of them only where these are the same.
+    A frame with the device time of the one before is that one once more. Without device times the picture has to do:
+    no live camera gives one twice, bit by bit, as its noise alone changes it; yet twice is no proof, only for long is.
     """
 
     def __init__(self) -> None:
         self._device_ns: int | None = None
         self._sample: NDArray[np.uint8] | None = None
         self._checksum: int | None = None
+        self._since_ns = 0
 
-    def repeated(self, grabbed: Grabbed, *, by_picture: bool) -> bool:
-        """Judge the next frame; with ``by_picture`` also one without a device time."""
+    def repeated(self, grabbed: Grabbed) -> bool:
+        """Whether this frame is the one before, by its device time."""
+        same = grabbed.device_ns is not None and grabbed.device_ns == self._device_ns
+        self._device_ns = grabbed.device_ns
+        return same
+
+    def still_ns(self, grabbed: Grabbed, now_ns: int) -> int:
+        """For how long the picture has not changed by a bit; 0 for a frame that has a device time.
+
+        Looks at a few pixels, and at all of them only where these are the same.
+        """
         if grabbed.device_ns is not None:
-            same = grabbed.device_ns == self._device_ns
-            self._device_ns = grabbed.device_ns
-            return same
-        return by_picture and self._same_picture(grabbed.bgr)
-
-    def _same_picture(self, bgr: NDArray[np.uint8]) -> bool:
-        sample = bgr[::_STEP, ::_STEP].copy()
+            return 0
+        sample = grabbed.bgr[::_STEP, ::_STEP].copy()
         known, self._sample = self._sample, sample
-        if known is None or known.shape != sample.shape or not np.array_equal(known, sample):
-            self._checksum = None
-            return False
-        before, self._checksum = self._checksum, zlib.crc32(bgr.data)
-        return before == self._checksum
+        before, self._checksum = self._checksum, None
+        if known is not None and np.array_equal(known, sample):
+            self._checksum = zlib.crc32(grabbed.bgr.data)
+            if self._checksum == before:
+                return now_ns - self._since_ns
+        self._since_ns = now_ns
+        return 0

@@ -14,9 +14,9 @@ def noisy(seed: int) -> np.ndarray:
 
 def test_a_device_time_decides_where_there_is_one() -> None:
     repeats = Repeats()
-    same = noisy(1)
-    judged = [repeats.repeated(Grabbed(same, device_ns=at), by_picture=True) for at in (0, 10, 10, 20)]
-    assert judged == [False, False, True, False]
+    frames = [Grabbed(noisy(1), device_ns=at) for at in (0, 10, 10, 20)]
+    assert [repeats.repeated(frame) for frame in frames] == [False, False, True, False]
+    assert [repeats.still_ns(frame, at) for at, frame in enumerate(frames)] == [0, 0, 0, 0]
 
 
 def test_without_one_the_picture_does_bit_by_bit() -> None:
@@ -25,10 +25,6 @@ def test_without_one_the_picture_does_bit_by_bit() -> None:
     nearly = still.copy()
     nearly[1, 1, 1] ^= 1  # between the pixels that are looked at first
     pictures = (still, still, still, still, nearly, nearly, noisy(2))
-    judged = [repeats.repeated(Grabbed(picture.copy()), by_picture=True) for picture in pictures]
-    assert judged == [False, False, True, True, False, True, False], "it takes one to be sure of the first"
-
-
-def test_recorded_pictures_may_stay_the_same() -> None:
-    repeats = Repeats()
-    assert not any(repeats.repeated(Grabbed(noisy(1)), by_picture=False) for _ in range(5))
+    assert not any(repeats.repeated(Grabbed(picture)) for picture in pictures)
+    for_ns = [repeats.still_ns(Grabbed(picture.copy()), 10 * number) for number, picture in enumerate(pictures)]
+    assert for_ns == [0, 0, 10, 20, 0, 10, 0], "it takes one to be sure of the first"
