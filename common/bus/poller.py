@@ -12,11 +12,11 @@ from common.bus.sockets import Socket
 
 
 class SocketOwner(Protocol):
-    """Anything of this package that receives."""
+    """Anything that receives on several sockets."""
 
     @property
-    def sockets(self) -> tuple[Socket, ...]:
-        """The sockets to wait on; may grow during its life."""
+    def sockets(self) -> tuple[Socket | int, ...]:
+        """The sockets (or file descriptors) to wait on; may change during its life."""
 
 
 class FileLike(Protocol):

@@ -5,14 +5,9 @@ The worker gets a job by value and the pixels by the slot of a sample ring, in w
 
 from __future__ import annotations
 
-import ctypes
 import os
-import signal
-from collections.abc import Iterable
-from concurrent.futures import Future, ProcessPoolExecutor
-from concurrent.futures.process import BrokenProcessPool
+from collections.abc import Iterator
 from dataclasses import dataclass
-from multiprocessing import get_context
 
 import cv2
 
@@ -22,6 +17,7 @@ from common.geometry import CameraModel
 from common.labels import CameraLabel, Erased, LeftOut, Missing, ObjectLabel
 from common.log import get
 from common.messages import DetectedMarker
+from common.service.crew import Crew, Failure
 from services.label.covering import covering
 from services.label.inpaint import erase
 from services.label.labelling import Around, Labeller
@@ -29,8 +25,8 @@ from services.label.occlusion import DepthPicture
 from services.label.regions import regions_on_sides
 
 _NICE = 10
-_PR_SET_PDEATHSIG = 1
-_RETRIES = 3
+_LIMIT_S = 30.0
+"""No frame takes a hundredth of this: a worker that does hangs."""
 
 
 @dataclass(frozen=True)
@@ -59,78 +55,62 @@ class Finished:
 
 
 class Finisher:
-    """A pool of worker processes; one that dies is replaced and its jobs are done again.
+    """The worker processes; one that dies or hangs is replaced, and only its own job is in danger.
 
     The workers get the rig by value: one that is replaced must not read a file that was edited meanwhile.
     """
 
     def __init__(self, rig: Rig, workers: int = 1) -> None:
-        self._rig = rig
         self._workers = workers
-        self._running: dict[str, tuple[Job, Future[Finished], int]] = {}
-        self._pool = self._new_pool()
-        self.restarts = 0
+        self._jobs: dict[str, Job] = {}
+        self._crew = self._crew_for(rig)
+        self._retired: list[Crew[Job, Finished]] = []
+        self._deaths_before = 0
 
-    def _new_pool(self) -> ProcessPoolExecutor:
-        return ProcessPoolExecutor(
-            self._workers, get_context("spawn"), initializer=_prepare, initargs=(self._rig, os.getpid())
-        )
-
-    def warm_up(self) -> None:
-        """Start the workers now, so that the first record doesn't wait for an interpreter to start."""
-        for _ in range(self._workers):
-            self._pool.submit(os.getpid)
+    @property
+    def sockets(self) -> tuple[int, ...]:
+        """For the Poller: readable when a job has ended."""
+        return tuple(fd for crew in (self._crew, *self._retired) for fd in crew.sockets)
 
     @property
     def busy(self) -> int:
         """Jobs that are not finished."""
-        return len(self._running)
+        return len(self._jobs)
 
-    def submit(self, job: Job, attempt: int = 1) -> None:
+    @property
+    def restarts(self) -> int:
+        """How many workers have died so far."""
+        return self._deaths_before + sum(crew.replaced for crew in (self._crew, *self._retired))
+
+    def submit(self, job: Job) -> None:
         """Begin a job."""
-        try:
-            future = self._pool.submit(_finish, job)
-        except BrokenProcessPool:
-            self._replace_pool()
-            future = self._pool.submit(_finish, job)
-        self._running[job.key] = (job, future, attempt)
+        self._jobs[job.key] = job
+        self._crew.submit(job.key, job)
 
-    def finished(self) -> Iterable[tuple[Job, Finished | None]]:
+    def finished(self) -> Iterator[tuple[Job, Finished | None]]:
         """Jobs that ended since the last call; None where the job failed (the reason is in the log)."""
-        for key, (job, future, attempt) in list(self._running.items()):
-            if not future.done():
-                continue
-            del self._running[key]
-            try:
-                yield job, future.result()
-            except BrokenProcessPool:
-                self._replace_pool()
-                if attempt < _RETRIES:
-                    self.submit(job, attempt + 1)
-                else:
-                    get().error("finish.failed", sample=key, reason=f"its worker died {attempt} times")
-                    yield job, None
-            except Exception:  # noqa: BLE001 - a bug in one frame is logged and costs that frame, not the service
-                get().exception("finish.failed", sample=key)
-                yield job, None
-
-    def _replace_pool(self) -> None:
-        if getattr(self._pool, "_broken", False):
-            self.restarts += 1
-            get().warning("finish.worker_died", restarts=self.restarts)
-            self._pool.shutdown(wait=False, cancel_futures=True)
-            self._pool = self._new_pool()
+        for crew in (self._crew, *self._retired):
+            for key, result in crew.finished():
+                if isinstance(result, Failure):
+                    get().error("finish.failed", sample=key, fault=result.fault, what=result.what)
+                yield self._jobs.pop(key), None if isinstance(result, Failure) else result
+        for crew in [crew for crew in self._retired if not crew.busy]:
+            self._deaths_before += crew.replaced
+            self._retired.remove(crew)
+            crew.close()
 
     def reload(self, rig: Rig) -> None:
         """Take over another rig; jobs under way end with the old one."""
-        self._rig = rig
-        self._pool.shutdown(wait=False)
-        self._pool = self._new_pool()
-        self.warm_up()
+        self._retired.append(self._crew)
+        self._crew = self._crew_for(rig)
 
     def close(self) -> None:
         """End the workers; jobs that have not begun are dropped."""
-        self._pool.shutdown(wait=True, cancel_futures=True)
+        for crew in (self._crew, *self._retired):
+            crew.close()
+
+    def _crew_for(self, rig: Rig) -> Crew[Job, Finished]:
+        return Crew(_finish, _prepare, (rig,), workers=self._workers, limit_s=_LIMIT_S)
 
 
 class _Worker:
@@ -142,23 +122,20 @@ class _Worker:
         self.rings: dict[str, SampleSlots] = {}
 
     def slots(self, ring: str) -> SampleSlots:
+        """The mapped ring. Of those whose owner has let go of them, nothing else would free the memory."""
         if ring not in self.rings:
+            for name in [name for name, slots in self.rings.items() if slots.abandoned]:
+                self.rings.pop(name).close()
             self.rings[ring] = SampleSlots(ring, writable=True)
-            while len(self.rings) > 16:
-                self.rings.pop(next(iter(self.rings))).close()
         return self.rings[ring]
 
 
 _worker: _Worker | None = None
 
 
-def _prepare(rig: Rig, parent: int) -> None:
-    """Make this process a worker: low priority, one thread, gone with its parent, deaf to its group's signals."""
+def _prepare(rig: Rig) -> None:
+    """Make this process a worker: low priority, one thread."""
     global _worker
-    ctypes.CDLL(None, use_errno=True).prctl(_PR_SET_PDEATHSIG, signal.SIGKILL)
-    if os.getppid() != parent:
-        os._exit(1)
-    os.setpgid(0, 0)
     os.nice(_NICE)
     cv2.setNumThreads(1)
     _worker = _Worker(rig)

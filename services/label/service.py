@@ -75,7 +75,6 @@ class LabelService:
         context, endpoints = self._context, self._context.endpoints
         self._streams = Streams(Labeller.of(self._rig), self._roster, self._log)
         self._finisher = Finisher(self._rig)
-        self._finisher.warm_up()
         self._samples = Samples(
             endpoints.prefix,
             context.id,
@@ -97,13 +96,13 @@ class LabelService:
             self._subscriber.subscribe(topic)
         self._subscriber.subscribe(SERVICE, "store")
         self._poller = Poller()
-        for source in (self._orders, self._store, self._subscriber):
+        for source in (self._orders, self._store, self._subscriber, self._finisher):
             self._poller.add(source)
         self._resumption = Resumption(self._store, f"{context.id}/{context.boot}")
 
     def step(self, timeout_s: float) -> None:
         """One round: orders, news, at most one frame a camera, outcomes, deadlines."""
-        busy = self._finisher.busy or self._samples.waiting or any(camera.waiting for camera in self._roster)
+        busy = self._samples.waiting or any(camera.waiting for camera in self._roster)
         self._poller.wait(min(timeout_s, _BUSY_WAIT_S) if busy else timeout_s)
         for return_, order in self._orders.receive():
             self._returns[order.key] = return_

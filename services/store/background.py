@@ -1,4 +1,4 @@
-"""Work beside the loop: a thread for the disk, and the way its results (and the workers') come back into the loop."""
+"""Work beside the loop: a thread for the disk, and the way its results come back into the loop."""
 
 from __future__ import annotations
 

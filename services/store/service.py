@@ -57,7 +57,8 @@ class StoreService:
         reserve, delay_s = _from_environment()
         self._disk = DiskThread(self._completions)
         self._keeper = SessionKeeper(self._disk, context.log, reserve)
-        self._writer = Writer(self._completions, self._disk, context.log, reserve=reserve, delay_s=delay_s)
+        self._writer = Writer(context.log, reserve=reserve, delay_s=delay_s)
+        self._poller.add(self._writer)
         self._desk = OrderDesk(
             self._keeper, self._writer, self._disk, self._wanted(), self._server.answer, context.endpoints.run_dir
         )
@@ -77,11 +78,13 @@ class StoreService:
     def step(self, timeout_s: float) -> None:
         """Hear cameras and orders, pass on what the workers and the disk have finished."""
         assert self._keeper is not None
+        assert self._writer is not None
         self._poller.wait(min(timeout_s, self._keeper.tick()))
         self._hear_cameras()
         for return_, order in self._server.receive():
             self._desk.take(return_, order)
         self._completions.run()
+        self._writer.collect()
         self._desk.go_on()
 
     def _hear_cameras(self) -> None:

@@ -2,9 +2,7 @@
 
 from __future__ import annotations
 
-import ctypes
 import os
-import signal
 import time
 from collections import OrderedDict
 from collections.abc import Container
@@ -24,7 +22,6 @@ from services.store.sample import is_stored, pictures_for, write_sample
 
 PIXELS_GONE = "pixels_gone"
 _NICE = 5
-_PR_SET_PDEATHSIG = 1
 _MOST_RINGS = 16
 
 
@@ -46,31 +43,33 @@ class Written:
     error: ErrorInfo | None = None
 
 
-def prepare(parent: int) -> None:
-    """Make this process a worker (the pool's initializer)."""
-    ctypes.CDLL(None, use_errno=True).prctl(_PR_SET_PDEATHSIG, signal.SIGKILL)
-    if os.getppid() != parent:  # it died before the line above
-        os._exit(1)
-    # In a process group of its own: a signal to the service's group is for the service, which then drains.
-    os.setpgid(0, 0)
-    signal.signal(signal.SIGINT, signal.SIG_IGN)
+@dataclass(frozen=True)
+class Turn:
+    """A job whose turn it is: leave ``reserve`` bytes free; the jobs still to come need the rings ``needed``."""
+
+    job: WriteJob
+    reserve: int
+    delay_s: float
+    needed: frozenset[str]
+
+
+def prepare() -> None:
+    """Make this process a worker."""
     os.nice(_NICE)
     cv2.setNumThreads(1)
 
 
-def write(job: WriteJob, reserve: int, delay_s: float, needed: Container[str]) -> Written:
-    """Write one sample, leaving ``reserve`` bytes free; expected failures come back as ``error``.
-
-    ``needed``: the rings of all jobs that are still to be done.
-    """
-    if delay_s:
-        time.sleep(delay_s)  # a slow disk, for tests (TAGMILL_STORE_DELAY_MS)
+def write(turn: Turn) -> Written:
+    """Write one sample; expected failures come back as ``error``."""
+    job = turn.job
+    if turn.delay_s:
+        time.sleep(turn.delay_s)  # a slow disk, for tests (TAGMILL_STORE_DELAY_MS)
     try:
         with FolderLock(job.session / LABELS, shared=True):
             if is_stored(job.session, job.label.sample):
                 return Written()
-            pictures = pictures_for(job.label, _rings.slots(job.ring, needed).view(job.slot))
-            return Written(bytes=write_sample(job.session, job.label, pictures, reserve))
+            pictures = pictures_for(job.label, _rings.slots(job.ring, turn.needed).view(job.slot))
+            return Written(bytes=write_sample(job.session, job.label, pictures, turn.reserve))
     except FrameLostError as error:
         return Written(error=ErrorInfo(code=PIXELS_GONE, message=f"{job.label.sample} is lost: {error.message}"))
     except RefusedError as error:

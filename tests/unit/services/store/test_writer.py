@@ -24,9 +24,7 @@ class Loop:
     """A service's loop around a writer."""
 
     def __init__(self, folder: Path, place: Place, delay_s: float) -> None:
-        self.completions = Completions()
-        self.disk = DiskThread(self.completions)
-        self.writer = Writer(self.completions, self.disk, log.get(), reserve=0, delay_s=delay_s)
+        self.writer = Writer(log.get(), reserve=0, delay_s=delay_s)
         self.ring = SampleRing(segment_name(place.prefix, "label.0", "boot"), WIDTH, HEIGHT, True, 8)
         self.folder = folder
         self.results: dict[str, Written] = {}
@@ -42,17 +40,15 @@ class Loop:
         return label.sample
 
     def run_until(self, done: Callable[[], bool]) -> None:
-        poller = Poller(self.completions)
+        poller = Poller(self.writer)
         deadline = time.monotonic() + DEADLINE_S
         while not done():
             assert time.monotonic() < deadline, "waited in vain"
             poller.wait(0.1)
-            self.completions.run()
+            self.writer.collect()
 
     def close(self) -> None:
         self.writer.close()
-        assert self.disk.close(5)
-        self.completions.close()
         self.ring.close()
 
 

@@ -1,0 +1,215 @@
+"""Worker processes of a service: jobs by value, one answer each, and a death or a hang that costs only its own job.
+
+A pool of `concurrent.futures` breaks as a whole when one worker dies, can't tell whose job killed it, waits for
+ever for one that hangs, and leaves semaphores behind when the service is killed. Here each worker has a pipe.
+"""
+
+from __future__ import annotations
+
+import os
+import signal
+import traceback
+from collections import deque
+from collections.abc import Callable, Iterator
+from contextlib import suppress
+from dataclasses import dataclass, field
+from multiprocessing import get_context
+from multiprocessing.connection import Connection
+from multiprocessing.process import BaseProcess
+from typing import Generic, TypeVar
+
+from common import clock
+from common.log import get
+from common.service.parent import die_with_parent
+
+J = TypeVar("J")
+R = TypeVar("R")
+
+_SPAWN = get_context("spawn")  # a fork would take the service's sockets, threads and locks along
+_AHEAD = 2
+"""Jobs a worker holds: the one it works on and the next, so that it doesn't wait for the service's loop."""
+_END_S = 2.0
+_START_NS = 60_000_000_000
+"""An interpreter that starts on a busy machine doesn't hang yet."""
+
+
+@dataclass(frozen=True)
+class Failure:
+    """A job without a result. ``fault``: ``exception`` (a bug: ``what`` is its traceback), ``died`` or ``hung``."""
+
+    fault: str
+    what: str
+
+
+@dataclass
+class _Task(Generic[J]):
+    key: str
+    job: J
+    deaths: int = 0
+
+
+@dataclass
+class _Worker(Generic[J]):
+    process: BaseProcess
+    pipe: Connection
+    tasks: deque[_Task[J]] = field(default_factory=deque)
+    begun_ns: int = 0
+    ready: bool = False
+    hung: bool = False
+    over: bool = False
+
+
+class Crew(Generic[J, R]):
+    """``workers`` processes that do ``work(job)``. One a thread; nothing here waits, except ``close``.
+
+    ``work`` and ``prepare`` are module-level functions; ``prepare(*prepared_with)`` runs once in each worker. A job
+    whose worker died under it is done again until it has cost ``deaths`` workers; one that takes longer than
+    ``limit_s`` has its worker killed, which counts as a death. The worker's next job is not blamed. A dead worker's
+    place is filled when it is surely gone: two never work on one job.
+
+    A worker ends with the thread that made the crew, and has a process group of its own: a signal to the service's
+    group is for the service, which then drains. ``replaced`` counts the deaths.
+    """
+
+    def __init__(
+        self,
+        work: Callable[[J], R],
+        prepare: Callable[..., None],
+        prepared_with: tuple[object, ...] = (),
+        *,
+        workers: int = 1,
+        deaths: int = 3,
+        limit_s: float = 30.0,
+    ) -> None:
+        self._start_with = (work, prepare, prepared_with)
+        self._deaths, self._limit_ns = deaths, int(limit_s * 1e9)
+        self._waiting: deque[_Task[J]] = deque()
+        self._given_up: list[tuple[str, Failure]] = []
+        self.replaced = 0
+        self._workers: list[_Worker[J]] = [self._started() for _ in range(workers)]
+
+    @property
+    def sockets(self) -> tuple[int, ...]:
+        """For the Poller: readable when a job has ended or a worker has died."""
+        return tuple(worker.pipe.fileno() for worker in self._workers if not worker.over)
+
+    @property
+    def busy(self) -> int:
+        """Jobs that ``finished`` has not given back yet."""
+        return len(self._waiting) + len(self._given_up) + sum(len(worker.tasks) for worker in self._workers)
+
+    @property
+    def pids(self) -> tuple[int, ...]:
+        """The workers' process ids."""
+        return tuple(worker.process.pid or 0 for worker in self._workers if not worker.over)
+
+    def submit(self, key: str, job: J) -> None:
+        """Queue a job; ``key`` comes back with its result."""
+        self._waiting.append(_Task(key, job))
+        self._hand_out()
+
+    def finished(self) -> Iterator[tuple[str, R | Failure]]:
+        """What ended since the last call, each job once."""
+        for worker in self._workers:
+            yield from self._heard(worker)
+            limit_ns = self._limit_ns if worker.ready else max(_START_NS, self._limit_ns)
+            late = clock.monotonic_ns() - worker.begun_ns > limit_ns
+            if worker.tasks and late and not (worker.over or worker.hung):
+                worker.hung = True
+                worker.process.kill()  # its pipe tells when it is dead
+        self._fill_places()
+        while self._given_up:
+            yield self._given_up.pop()
+        self._hand_out()
+
+    def close(self) -> None:
+        """End the workers: idle ones at once, others have a moment for the job at hand; idempotent."""
+        for worker in self._workers:
+            worker.pipe.close()  # an idle worker reads the end of its pipe
+        for worker in self._workers:
+            worker.process.join(_END_S)
+            if worker.process.exitcode is None:
+                worker.process.kill()
+                worker.process.join(_END_S)
+        self._workers, self._given_up = [], []
+        self._waiting.clear()
+
+    def _started(self) -> _Worker[J]:
+        ours, its = _SPAWN.Pipe()
+        process = _SPAWN.Process(target=_serve, args=(its, os.getpid(), *self._start_with), daemon=True)
+        process.start()
+        its.close()
+        return _Worker(process, ours, begun_ns=clock.monotonic_ns())
+
+    def _hand_out(self) -> None:
+        while self._waiting:
+            free = [worker for worker in self._workers if not worker.over and len(worker.tasks) < _AHEAD]
+            if not free:
+                return
+            worker = min(free, key=lambda item: len(item.tasks))
+            task = self._waiting.popleft()
+            if not worker.tasks:
+                worker.begun_ns = clock.monotonic_ns()
+            worker.tasks.append(task)
+            with suppress(ConnectionError):  # dead: `finished` reads that from its pipe, and the task is not lost
+                worker.pipe.send(task.job)
+
+    def _heard(self, worker: _Worker[J]) -> Iterator[tuple[str, R | Failure]]:
+        while not worker.over and worker.pipe.poll(0):
+            try:
+                said = worker.pipe.recv()
+            except (EOFError, ConnectionError):
+                self._bury(worker)
+                return
+            worker.begun_ns = clock.monotonic_ns()
+            if worker.ready:
+                yield worker.tasks.popleft().key, said
+            worker.ready = True  # its first word
+
+    def _bury(self, worker: _Worker[J]) -> None:
+        """Take its jobs back: the first is to blame."""
+        self.replaced += 1
+        worker.over = True
+        worker.pipe.close()
+        worker.process.kill()  # whoever closed its pipe is of no use
+        get().warning("worker.died", pid=worker.process.pid, hung=worker.hung, jobs=[task.key for task in worker.tasks])
+        tasks = list(worker.tasks)
+        worker.tasks.clear()
+        if tasks:
+            tasks[0].deaths += 1
+            if tasks[0].deaths >= self._deaths:
+                fault = "hung" if worker.hung else "died"
+                what = f"took longer than {self._limit_ns / 1e9:g} s" if worker.hung else "its worker died"
+                self._given_up.append((tasks.pop(0).key, Failure(fault, f"{what}, {self._deaths} times")))
+        self._waiting.extendleft(reversed(tasks))
+
+    def _fill_places(self) -> None:
+        """A worker that died before it was ready is replaced when there is work again, so that none dies in a loop."""
+        for place, worker in enumerate(self._workers):
+            if worker.over and worker.process.exitcode is not None and (worker.ready or self._waiting):
+                worker.process.close()
+                self._workers[place] = self._started()
+
+
+def _serve(
+    pipe: Connection,
+    parent: int,
+    work: Callable[[J], R],
+    prepare: Callable[..., None],
+    prepared_with: tuple[object, ...],
+) -> None:
+    """A worker's life."""
+    os.setpgid(0, 0)
+    signal.signal(signal.SIGINT, signal.SIG_IGN)
+    if not die_with_parent(parent, signal.SIGKILL):
+        os._exit(1)
+    prepare(*prepared_with)
+    with suppress(EOFError, ConnectionError):  # the service has closed the pipe: nothing more to do
+        pipe.send(None)
+        while True:
+            job = pipe.recv()
+            try:
+                result: R | Failure = work(job)
+            except Exception:  # noqa: BLE001 - a bug met by one job is told and costs that job, not the worker
+                result = Failure("exception", traceback.format_exc())
+            pipe.send(result)

@@ -1,0 +1,124 @@
+"""Worker processes: real ones, that die and hang."""
+
+from __future__ import annotations
+
+import os
+import signal
+from collections.abc import Iterator
+from contextlib import closing
+from pathlib import Path
+
+import psutil
+import pytest
+
+from common.bus import Poller
+from common.service.crew import Crew, Failure
+from tests.support import crew_jobs
+from tests.support.hygiene import Place
+from tests.support.stack import wait_for
+
+pytestmark = pytest.mark.process
+ENOUGH_S = 60.0
+
+
+@pytest.fixture
+def crew(place: Place) -> Iterator[Crew[str | int, int]]:
+    with closing(Crew(crew_jobs.work, crew_jobs.prepare, (1000,), workers=2)) as made:
+        yield made
+
+
+def results(crew: Crew[str | int, int], count: int) -> dict[str, int | Failure]:
+    """The next ``count`` results; the poller is woken for each."""
+    got: dict[str, int | Failure] = {}
+    poller = Poller(crew)
+
+    def all_there() -> bool:
+        poller.wait(1.0)
+        got.update(crew.finished())
+        return len(got) == count
+
+    wait_for(all_there, ENOUGH_S, f"{count} results, not {got}")
+    return got
+
+
+def test_each_job_has_one_result(crew: Crew[str | int, int]) -> None:
+    for number in range(20):
+        crew.submit(f"job-{number}", number)
+    assert crew.busy == 20
+    assert results(crew, 20) == {f"job-{number}": 1000 + number for number in range(20)}
+    assert (crew.busy, crew.replaced, list(crew.finished())) == (0, 0, [])
+
+
+def test_a_bug_costs_its_job_and_no_worker(crew: Crew[str | int, int]) -> None:
+    crew.submit("bad", "bug")
+    crew.submit("good", 1)
+    got = results(crew, 2)
+    assert got["good"] == 1001
+    bad = got["bad"]
+    assert isinstance(bad, Failure)
+    assert (bad.fault, "ValueError: no such number" in bad.what) == ("exception", True)
+    assert crew.replaced == 0
+
+
+def test_a_job_that_kills_its_workers_is_given_up_and_no_other(crew: Crew[str | int, int]) -> None:
+    for number in range(5):
+        crew.submit(f"before-{number}", number)
+    crew.submit("poison", "die")
+    for number in range(5, 10):
+        crew.submit(f"after-{number}", number)
+    got = results(crew, 11)
+    poison = got.pop("poison")
+    assert isinstance(poison, Failure)
+    assert poison.fault == "died"
+    assert sorted(item for item in got.values() if isinstance(item, int)) == [1000 + number for number in range(10)]
+    assert crew.replaced == 3
+
+
+def test_a_job_whose_worker_was_killed_by_others_is_done_again(crew: Crew[str | int, int], tmp_path: Path) -> None:
+    crew.submit("unlucky", f"once {tmp_path / 'mark'}")
+    assert results(crew, 1) == {"unlucky": 1000}
+    assert crew.replaced == 1
+
+
+def test_a_worker_that_hangs_is_killed(place: Place) -> None:
+    with closing(Crew(crew_jobs.work, crew_jobs.prepare, (0,), deaths=2, limit_s=1.5)) as crew:
+        crew.submit("stuck", "hang")
+        crew.submit("next", 7)
+        got = results(crew, 2)
+        assert got["next"] == 7
+        assert isinstance(got["stuck"], Failure)
+        assert got["stuck"].fault == "hung"
+        assert crew.replaced >= 2
+
+
+def test_an_idle_worker_that_is_killed_is_replaced(crew: Crew[str | int, int]) -> None:
+    for number in range(4):
+        crew.submit(str(number), "pid")
+    results(crew, 4)
+    before = crew.pids
+    os.kill(before[0], signal.SIGKILL)
+    wait_for(lambda: list(crew.finished()) == [] and crew.replaced and len(crew.pids) == 2, ENOUGH_S, "a new worker")
+    assert before[0] not in crew.pids
+    crew.submit("job", 5)
+    assert results(crew, 1) == {"job": 1005}
+
+
+def test_workers_that_cannot_start_cost_the_job_and_do_not_start_for_ever(place: Place) -> None:
+    with closing(Crew(crew_jobs.work, crew_jobs.refuse_to_start, (0,))) as crew:
+        wait_for(lambda: list(crew.finished()) == [] and crew.replaced == 1, ENOUGH_S, "the first to die")
+        assert crew.pids == ()
+        crew.submit("job", 1)
+        got = results(crew, 1)
+        assert isinstance(got["job"], Failure)
+        assert crew.replaced <= 4
+
+
+def test_close_ends_busy_and_idle_workers_twice(place: Place) -> None:
+    crew: Crew[str | int, int] = Crew(crew_jobs.work, crew_jobs.prepare, (0,), workers=2)
+    crew.submit("one", 1)
+    results(crew, 1)
+    crew.submit("stuck", "hang")
+    pids = crew.pids
+    crew.close()
+    crew.close()
+    assert not any(psutil.pid_exists(pid) for pid in pids)
