@@ -5,7 +5,8 @@ from __future__ import annotations
 from pathlib import Path
 from typing import Annotated, Any, Literal
 
-from pydantic import BaseModel, ConfigDict, Field, field_validator
+from pydantic import BaseModel, ConfigDict, Field, ValidationInfo, field_validator
+from pydantic_core import PydanticCustomError
 
 from common.ids import NAME_PATTERN
 from common.labels import FaceName
@@ -213,9 +214,40 @@ class Kinect2Options(Section):
     pipeline: Literal["cpu", "opengl", "opencl"] = "cpu"
 
 
+class WebcamOptions(Section):
+    """Keys of ``driver: webcam``. One of ``path``, ``index``, ``serial`` says which, none = the first one.
+
+    ``serial``: a name of /dev/v4l/by-id or a part that only one has. ``buffers``: the kernel's; with one many cameras
+    give half their rate, since a picture that begins while it is read has nowhere to go. ``controls``: any other
+    setting by the name that ``v4l2-ctl -l`` shows.
+    """
+
+    path: Path | None = None
+    index: Annotated[int, Field(ge=0, le=255)] | None = None
+    serial: Annotated[str, Field(min_length=1)] | None = None
+    pixel_format: Literal["MJPG", "YUYV", "UYVY", "GREY"] = "MJPG"
+    buffers: Annotated[int, Field(ge=1, le=10)] = 2
+    exposure_ms: Annotated[float, Field(gt=0, le=10000)] | None = None
+    gain: int | None = None
+    white_balance_k: Annotated[int, Field(gt=0)] | None = None
+    focus: int | None = None
+    controls: dict[str, int] = {}
+
+    @field_validator("index", "serial")
+    @classmethod
+    def _names_it_alone(cls, value: object, info: ValidationInfo) -> object:
+        others = [key for key in ("path", "index") if key != info.field_name and info.data.get(key) is not None]
+        if value is not None and others:
+            raise PydanticCustomError(
+                "exclusive", "{key} says already which camera it is; keep one", {"key": others[0]}
+            )
+        return value
+
+
 DRIVER_OPTIONS: dict[str, type[Section]] = {
     "synthetic": SyntheticOptions,
     "files": FilesOptions,
     "kinect2": Kinect2Options,
+    "webcam": WebcamOptions,
 }
 """Built-in drivers and the model of their keys; other drivers check their own."""

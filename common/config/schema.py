@@ -189,6 +189,11 @@ def _length(value: Any, error: Mapping[str, Any]) -> str:
     return f"has {count} {'entry' if count == 1 else 'entries'}; needs {bound}"
 
 
+def _said(_: Any, error: Mapping[str, Any]) -> str:
+    """A model's own words."""
+    return str(error["msg"])
+
+
 def _otherwise(value: Any, error: Mapping[str, Any]) -> str:
     return f"{shown(value)} is not allowed: {error['msg']}"
 
@@ -214,4 +219,5 @@ _REASONS: dict[str, _Reason] = {
     "less_than_equal": _bound("at most", "le"),
     "too_short": _length,
     "too_long": _length,
+    "exclusive": _said,
 }

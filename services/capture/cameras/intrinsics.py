@@ -58,3 +58,25 @@ def fit_to_size(calibration: CameraLabel, width: int, height: int) -> tuple[Came
     )
     scaled = calibration.model_copy(update={"width": width, "height": height, "matrix": matrix})
     return scaled, (f"{sizes}: scaled by {across:.3f}; true only if the camera scales its picture and doesn't cut it",)
+
+
+def known_or_guessed(
+    name: str, calibration: CameraLabel | None, width: int, height: int, serial: str | None = None
+) -> tuple[CameraLabel, tuple[str, ...]]:
+    """Intrinsics of a camera that doesn't know its own, and what to tell the operator about them.
+
+    The calibration's if there is one (see ``fit_to_size``), else a guess. ``serial`` is the camera's that is open.
+    """
+    if calibration is None:
+        warning = (
+            f"camera {name} has no calibration: its intrinsics are guessed, so distances are too; "
+            "run `tagmill calibrate` and name the file as `calibration`"
+        )
+        return label_of(name, CameraModel.guess(width, height), intrinsics_from="guess", serial=serial), (warning,)
+    label, warnings = fit_to_size(calibration, width, height)
+    if serial is None or calibration.serial is None:
+        return label.model_copy(update={"serial": serial or calibration.serial}), warnings
+    if calibration.serial not in serial:
+        told = f"the calibration of {name} is of the camera {calibration.serial}, this one is {serial}"
+        warnings = (*warnings, told)
+    return label.model_copy(update={"serial": serial}), warnings
