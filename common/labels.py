@@ -245,8 +245,24 @@ class Label(Part):
     versions: dict[str, str]
 
 
+class Gap(Part):
+    """A time in which a camera gave no picture: from its last one before to its first one after (ISO UTC).
+
+    ``to`` and ``seconds`` are None while it lasts. ``reason`` is the camera's own last error, if it told one.
+    """
+
+    since: Annotated[str, Field(alias="from")]
+    to: str | None = None
+    seconds: float | None = None
+    reason: str
+    since_wall_ns: int
+
+
 class CameraLedger(Part):
-    """One camera's account in a recording: captured = recorded + refused + dropped once it is settled."""
+    """One camera's account in a recording: captured = recorded + refused + dropped once it is settled.
+
+    ``gaps``: when the camera gave nothing, the first hundred; ``gaps_unlisted`` counts further ones.
+    """
 
     captured: int = 0
     detected: dict[str, int] = {}
@@ -257,6 +273,8 @@ class CameraLedger(Part):
     pending: int = 0
     last_count: int = 0
     boot: str = ""
+    gaps: tuple[Gap, ...] = ()
+    gaps_unlisted: int = 0
 
     @property
     def settled(self) -> bool:

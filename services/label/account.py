@@ -7,6 +7,7 @@ from typing import Literal
 
 from common.labels import CameraLedger
 from common.messages import CameraState, FrameRef
+from services.label.gaps import Gaps
 
 Place = Literal["detect", "label", "label_restart", "store"]
 
@@ -29,6 +30,7 @@ class Account:
         self.refused: Counter[str] = Counter(known.refused)
         self.dropped: Counter[str] = Counter(known.dropped)
         self.pending: set[str] = set()
+        self.gaps = Gaps(known)
         self._boot = known.boot
         self._last = known.last_count
         self._first_of_pass: int | None = None
@@ -47,6 +49,7 @@ class Account:
             jump = 1
             self._first_of_pass = ref.count
         self._boot, self._last = ref.boot, ref.count
+        self.gaps.frame(ref, jump - 1)
         self.captured += jump
         if self._resumed:
             self._resumed = False
@@ -136,4 +139,6 @@ class Account:
             pending=len(self.pending),
             last_count=self._last,
             boot=self._boot,
+            gaps=self.gaps.listed,
+            gaps_unlisted=self.gaps.unlisted,
         )

@@ -194,6 +194,7 @@ class Recorder:
                 continue
             state = cameras.get(recording.camera)
             if state is not None:
+                recording.account.gaps.hear(state, now, clock.wall_ns())
                 _watch_end(recording, state, now)
             if recording.full:
                 recording.finish(f"{recording.spec.until_count} samples are recorded")

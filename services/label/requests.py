@@ -218,6 +218,7 @@ class Recording:
         """Take no further frame; it ends when nothing is pending."""
         if self.phase == "running":
             self.phase, self.why = "finishing", why
+            self.account.gaps.finish(clock.monotonic_ns(), clock.wall_ns())
 
     def ledger(self) -> Ledger:
         """This camera's part of the recording's ledger."""

@@ -7,7 +7,7 @@ import argparse
 from rich.console import Console
 
 from tools.commands.client import ask, connected, finish
-from tools.commands.show import ledger_table
+from tools.commands.show import ledger_view
 
 LEDGER_S = 10.0
 
@@ -22,5 +22,5 @@ def run(args: argparse.Namespace) -> int:
     with connected(args) as client:
         answer = ask(client, {"command": "ledger", "recording": args.recording}, LEDGER_S)
     if answer["ok"] and not args.json:
-        Console().print(ledger_table(answer["ledger"]))
+        Console().print(ledger_view(answer["ledger"]))
     return finish(args, answer)

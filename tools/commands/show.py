@@ -108,8 +108,22 @@ def _recordings(answer: Plain) -> Table:
     return table
 
 
-def ledger_table(ledger: Plain) -> Table:
-    """A recording's ledger, one row a camera."""
+def ledger_view(ledger: Plain) -> RenderableType:
+    """A recording's ledger, one row a camera; below it when a camera gave nothing."""
+    gaps = [
+        Text(f"! {camera} gave no picture {_gap(gap)}", style="yellow")
+        for camera, account in sorted(ledger["cameras"].items())
+        for gap in account.get("gaps", ())
+    ]
+    return Group(_ledger_table(ledger), *gaps)
+
+
+def _gap(gap: Plain) -> str:
+    since = f"since {gap['from']}" if gap["to"] is None else f"for {gap['seconds']:.1f} s from {gap['from']}"
+    return f"{since}: {gap['reason']}"
+
+
+def _ledger_table(ledger: Plain) -> Table:
     spec = ledger["spec"]
     why = f", {ledger['why']}" if ledger["why"] else ""
     table = _table(

@@ -14,7 +14,7 @@ from common import clock
 from common.bus import CommandClient
 from common.errors import EXIT_OK, NoAnswerError, TagmillError
 from tools.commands.client import ask, connected, finish
-from tools.commands.show import ledger_table, progress_line
+from tools.commands.show import ledger_view, progress_line
 
 LOOK_EVERY_S = 0.5
 START_S = 15.0
@@ -54,7 +54,7 @@ def run(args: argparse.Namespace) -> int:
             return finish(args, answer)
         ledger = _wait(client, answer["recording"], quiet=args.json)
     if not args.json:
-        Console().print(ledger_table(ledger))
+        Console().print(ledger_view(ledger))
     return finish(args, {"ok": True, "recording": answer["recording"], "ledger": ledger}) if args.json else EXIT_OK
 
 

@@ -7,7 +7,7 @@ import argparse
 from rich.console import Console
 
 from tools.commands.client import AFTER_S, ask, connected, finish
-from tools.commands.show import ledger_table
+from tools.commands.show import ledger_view
 
 STOP_S = 35.0
 
@@ -24,7 +24,7 @@ def run(args: argparse.Namespace) -> int:
     if not args.json:
         console = Console()
         for ledger in answer.get("ledgers", ()):
-            console.print(ledger_table(ledger))
+            console.print(ledger_view(ledger))
         if answer["ok"] and not answer["ledgers"]:
             console.print("Nothing was being recorded.")
     return finish(args, answer)
