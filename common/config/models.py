@@ -8,18 +8,14 @@ from typing import Annotated, Any, Literal
 from pydantic import BaseModel, ConfigDict, Field, ValidationInfo, field_validator
 from pydantic_core import PydanticCustomError
 
+from common.config.realsense import RealSenseOptions
+from common.config.section import Section
 from common.ids import NAME_PATTERN
 from common.labels import FaceName
 
 Name = Annotated[str, Field(pattern=NAME_PATTERN)]
 PositiveMm = Annotated[float, Field(gt=0, allow_inf_nan=False)]
 Millimetres = Annotated[float, Field(allow_inf_nan=False)]
-
-
-class Section(BaseModel):
-    """A frozen part of the rig file; unknown keys are refused."""
-
-    model_config = ConfigDict(frozen=True, extra="forbid")
 
 
 class DatasetConfig(Section):
@@ -249,5 +245,6 @@ DRIVER_OPTIONS: dict[str, type[Section]] = {
     "files": FilesOptions,
     "kinect2": Kinect2Options,
     "webcam": WebcamOptions,
+    "realsense": RealSenseOptions,
 }
 """Built-in drivers and the model of their keys; other drivers check their own."""

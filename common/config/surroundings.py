@@ -10,6 +10,7 @@ from urllib.parse import urlsplit
 
 from common.config.models import DRIVER_OPTIONS, CameraConfig, FilesOptions, NetworkConfig
 from common.config.problems import FieldPath, Problems, suggestion
+from common.config.realsense import RealSenseOptions
 from common.config.tree import Tree
 
 DRIVERS_GROUP = "tagmill.cameras"
@@ -71,11 +72,15 @@ def check_dataset_root(tree: Tree, root: Path, problems: Problems) -> None:
 
 
 def check_inputs(tree: Tree, name: str, camera: CameraConfig, folder: Path, problems: Problems) -> None:
-    """Note pictures or a video of a ``files`` camera that are not there."""
-    if camera.driver != "files":
-        return
-    options = FilesOptions.model_validate(camera.options)
-    for key, path in (("path", options.path), ("depth_path", options.depth_path)):
+    """Note files that a camera plays or reads and that are not there."""
+    inputs: tuple[tuple[str, Path | None], ...] = ()
+    if camera.driver == "files":
+        files = FilesOptions.model_validate(camera.options)
+        inputs = (("path", files.path), ("depth_path", files.depth_path))
+    elif camera.driver == "realsense":
+        realsense = RealSenseOptions.model_validate(camera.options)
+        inputs = (("recording", realsense.recording), ("preset_file", realsense.preset_file))
+    for key, path in inputs:
         if path is None:
             continue
         resolved = (folder / path).resolve()

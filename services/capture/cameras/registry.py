@@ -42,6 +42,7 @@ BUILT_IN: dict[str, Entry] = {
     "webcam": Entry(
         "services.capture.cameras.webcam:WebcamCamera", "the webcam driver needs Linux and tagmill's dependencies"
     ),
+    "realsense": Entry("services.capture.cameras.realsense:RealSenseCamera", "pip install 'tagmill[realsense]'"),
 }
 
 

@@ -16,6 +16,7 @@ from common.errors import CameraError
 from common.geometry import CameraModel
 from services.capture.cameras.base import Camera, Description, EndOfStreamError, Grabbed, Rewindable
 from services.capture.cameras.registry import BUILT_IN, open_camera
+from tests.support.realsense_recordings import plain_frames, record
 from tests.support.v4l2 import device as v4l2
 from tests.unit.services.capture.conftest import write_calibration, write_depths, write_pictures, write_video
 
@@ -80,6 +81,19 @@ CASES = {
         live=True,
         hush=lambda folder: setattr(v4l2.state_of(folder / "video0"), "stalled", 1),
         here=v4l2.is_preloaded,
+    ),
+    "realsense-recording": Case(
+        "realsense",
+        "recording: rec.db3, fps: 200",
+        depth=True,
+        prepare=lambda folder: record(folder / "rec.db3", plain_frames(FRAMES)),
+        unplug=lambda folder: (folder / "rec.db3").unlink(),
+    ),
+    "realsense-consumer": Case(
+        "realsense",
+        "recording: rec.db3, pace: consumer, depth: false",
+        prepare=lambda folder: record(folder / "rec.db3", plain_frames(FRAMES)),
+        unplug=lambda folder: (folder / "rec.db3").unlink(),
     ),
 }
 OBJECTS = """\
