@@ -44,6 +44,9 @@ SUB_COMMANDS = (
     SubCommand("preview", "tools.commands.preview", "keep the inpainted preview of a camera going"),
     SubCommand("help", "tools.commands.help", "the commands of the command socket with their fields"),
     SubCommand("check", "tools.check", "say all mistakes of a rig file at once"),
+    SubCommand(
+        "calibrate", "tools.calibrate.command", "calibrate a camera from pictures of a board, and say how good it is"
+    ),
     SubCommand("bench", "tools.bench.command", "measure the real stack on this machine"),
     SubCommand("evaluate", "tools.evaluate.command", "measure labels and erased pictures against the truth"),
     SubCommand("keys", "tools.commands.keys", "make the CURVE keys that a command socket off loopback needs"),

@@ -92,6 +92,10 @@ WORDS: dict[str, Words] = {
     "bad_message": Words(
         "Two services don't understand each other.", "Are all of the same release? Restart the stack."
     ),
+    # --- calibrating ------------------------------------------------------------------------------------------
+    "no_picture": Words("There is no picture to look at."),
+    "no_views": Words("The kept views can't be used.", "Look for the board anew with --images or --video."),
+    "no_view": Words("There is no such view.", "Take one of those that the report lists as used."),
     # --- commands ----------------------------------------------------------------------------------------------
     "not_a_command": Words("That is no command.", "'tagmill help' shows what one looks like."),
     "unknown_command": Words("There is no such command.", "'tagmill help' lists them."),

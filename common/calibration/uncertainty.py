@@ -52,6 +52,16 @@ class UncertaintyMap:
         return float(np.nanmax(self.sd_px)) if np.isfinite(self.sd_px).any() else float("inf")
 
     @property
+    def worst_place(self) -> str:
+        """Where in the picture that is, in words."""
+        rows, columns = self.sd_px.shape
+        filled = np.where(np.isfinite(self.sd_px), self.sd_px, np.inf)
+        row, column = divmod(int(np.argmax(filled)), columns)
+        vertical = ("upper", "", "lower")[3 * row // rows]
+        horizontal = ("left", "", "right")[3 * column // columns]
+        return " ".join(word for word in (vertical, horizontal) if word) or "middle"
+
+    @property
     def centre_px(self) -> float:
         """In the middle of the picture."""
         rows, columns = self.sd_px.shape

@@ -1,0 +1,186 @@
+"""`tagmill calibrate`: intrinsics from pictures or a video of a board, with a verdict and a report."""
+
+from __future__ import annotations
+
+import argparse
+import json
+from collections import Counter
+from collections.abc import Sequence
+from dataclasses import replace
+from pathlib import Path
+
+from rich.console import Console
+from rich.progress import Progress
+
+from common.boards import Board
+from common.calibration import ALL_MODELS, Miss, Outcome, Reason, View, calibrate
+from common.calibration.candidates import steps
+from common.calibration.verdict import verdict
+from common.config import read_calibration, write_calibration
+from common.errors import EXIT_OK, EXIT_REFUSED, ConfigError, RefusedError
+from tools.calibrate import convert
+from tools.calibrate.board_options import add_board_options, chosen_board
+from tools.calibrate.measured import HONEST, judge_measured, parse_measured
+from tools.calibrate.pictures import Pictures, frames_of, pictures_of
+from tools.calibrate.report import write_report
+from tools.calibrate.result import Places, document, label_of, load_views, places, quality_of, save_views
+from tools.calibrate.search import find_views
+from tools.calibrate.words import said
+
+EXIT_INTERRUPTED = 130
+
+
+def add_parser(parser: argparse.ArgumentParser) -> None:
+    """The sub-command's own arguments."""
+    source = parser.add_argument_group("where the pictures come from")
+    source.add_argument("--images", metavar="DIR|GLOB", help="a folder of pictures, or a quoted pattern")
+    source.add_argument("--video", type=Path, metavar="FILE", help="a video; at most 300 frames of it are looked at")
+    source.add_argument("--views", type=Path, metavar="FILE", help="go on with the views that an earlier run kept")
+    add_board_options(parser)
+    parser.add_argument("--camera", default="camera", metavar="NAME", help="the camera's name in the rig")
+    parser.add_argument("--serial", metavar="S", help="the camera's serial number: the file then fits no other")
+    parser.add_argument(
+        "--model", choices=ALL_MODELS, action="append", help="only this lens model (default: the best; may be repeated)"
+    )
+    parser.add_argument("--window", type=int, metavar="PX", help="half the corners' search window (default: fitted)")
+    parser.add_argument("--distance-mm", type=float, metavar="MM", help="working distance for the uncertainty map")
+    parser.add_argument("--measured", metavar="NAME=MM", help="a distance measured from camera to board in one view")
+    parser.add_argument("--out", type=Path, metavar="FILE|DIR", help="default: calibration/<camera>-<size>.yaml")
+    parser.add_argument("--anyway", action="store_true", help="write the file even if the verdict is 'not yet'")
+    more = parser.add_subparsers(dest="calibrate_command", metavar="convert", title="more")
+    own = more.add_parser("convert", help="write a calibration in another format", description=convert.__doc__)
+    own.add_argument("--json", action="store_true", default=argparse.SUPPRESS, help="print one JSON document")
+    convert.add_parser(own)
+
+
+def run(args: argparse.Namespace) -> int:
+    """Calibrate; exit code 0 with a calibration, 3 if the verdict is 'not yet', 130 after Ctrl-C."""
+    if args.calibrate_command == "convert":
+        return convert.run(args)
+    measured = None if args.measured is None else parse_measured(args.measured)
+    _check_figures(args)
+    board, views, misses, interrupted = _gather(args)
+    found = places(args.out, args.camera, _most_common_size(views))
+    save_views(found.views, board, views)
+    if interrupted:
+        return _interrupted(found, views, quiet=args.json)
+    try:
+        outcome = _calibrated(args, views, misses)
+    except KeyboardInterrupt:
+        return _interrupted(found, views, quiet=args.json)
+    told: list[str] = []
+    if measured is not None and outcome.solution is not None:
+        words, reasons = judge_measured(outcome.solution, *measured)
+        told.append(words)
+        outcome = replace(outcome, verdict=verdict(outcome.verdict.reasons, reasons))
+    if measured is None:
+        told.append(HONEST)
+    return _finish(args, board, outcome, misses, found, told)
+
+
+def _check_figures(args: argparse.Namespace) -> None:
+    for name, least in (("distance_mm", 1.0), ("window", 1)):
+        value = getattr(args, name)
+        if value is not None and not value >= least:
+            raise RefusedError(
+                f"--{name.replace('_', '-')} must be at least {least:g}, not {value}", code="bad_request"
+            )
+
+
+def _gather(args: argparse.Namespace) -> tuple[Board, list[View], list[Miss], bool]:
+    """The board, its views, the pictures without one, and whether Ctrl-C ended the search."""
+    board, views = (None, []) if args.views is None else load_views(args.views)
+    if args.board is not None or board is None:
+        given = chosen_board(args)
+        if board is not None and given.points().mm.tolist() != board.points().mm.tolist():
+            raise RefusedError(f"the views in {args.views} are of another board", code="no_views")
+        board = given
+    sources: list[Pictures] = []
+    if args.images is not None:
+        sources.append(pictures_of(args.images))
+    if args.video is not None:
+        sources.append(frames_of(args.video))
+    if not sources and args.views is None:
+        raise ConfigError("where are the pictures? --images DIR, --video FILE, or --views FILE of an earlier run")
+    misses: list[Miss] = []
+    for source in sources:
+        found = find_views(source, board, window=args.window, quiet=args.json)
+        views += found.views
+        misses += found.misses
+        if found.interrupted:
+            return board, views, misses, True
+    return board, views, misses, False
+
+
+def _calibrated(args: argparse.Namespace, views: Sequence[View], misses: Sequence[Miss]) -> Outcome:
+    models = tuple(args.model or ALL_MODELS)
+    with Progress(console=Console(stderr=True), transient=True, disable=args.json) as progress:
+        task = progress.add_task("comparing lens models", total=steps(models))
+        return calibrate(
+            views,
+            models=[name for name in ALL_MODELS if name in models],
+            distance_mm=args.distance_mm,
+            extra=missed_reasons(views, misses),
+            tick=lambda: progress.advance(task),
+        )
+
+
+def missed_reasons(views: Sequence[View], misses: Sequence[Miss]) -> list[Reason]:
+    """What the pictures without a board say of the whole set."""
+    if not misses or len(misses) < max(2 * len(views), 1):
+        return []
+    code, count = Counter(miss.code for miss in misses).most_common(1)[0]
+    reason = next(miss.reason for miss in misses if miss.code == code)
+    total = len(views) + len(misses)
+    return [Reason(code, "not yet", f"{count} of {total} pictures give no view ({reason})")]
+
+
+def _most_common_size(views: Sequence[View]) -> tuple[int, int] | None:
+    sizes = Counter(view.size for view in views).most_common(1)
+    return sizes[0][0] if sizes else None
+
+
+def _interrupted(found: Places, views: Sequence[View], *, quiet: bool) -> int:
+    if quiet:
+        print(json.dumps({"ok": False, "error": {"code": "interrupted"}, "views": str(found.views)}))
+    else:
+        print(f"Interrupted. {len(views)} views are kept in {found.views}; go on with --views {found.views}")
+    return EXIT_INTERRUPTED
+
+
+def _finish(
+    args: argparse.Namespace,
+    board: Board,
+    outcome: Outcome,
+    misses: Sequence[Miss],
+    found: Places,
+    told: list[str],
+) -> int:
+    solution = outcome.solution
+    write_report(found.report, args.camera, board, outcome, misses, told)
+    good = outcome.verdict.level != "not yet"
+    written = solution is not None and (good or args.anyway)
+    if solution is not None and written:
+        told += _replaced(found)
+        quality = quality_of(outcome, solution, board).model_dump(mode="json")
+        write_calibration(found.file, label_of(solution, args.camera, args.serial), quality)
+    if args.json:
+        out = document(outcome, board, misses, found) | {"file": str(found.file) if written else None, "notes": told}
+        print(json.dumps(out))
+    else:
+        print("\n".join(said(outcome, misses, told)))
+        print(f"written: {found.file}" if written else f"not written: {found.file} (--anyway writes it)")
+        print(f"report:  {found.report}")
+    return EXIT_OK if good else EXIT_REFUSED
+
+
+def _replaced(found: Places) -> list[str]:
+    """Set an older calibration of this name aside, and say so."""
+    if not found.file.is_file():
+        return []
+    try:
+        read_calibration(found.file, "before")
+        found.file.replace(found.previous)
+    except (ConfigError, OSError) as error:
+        raise RefusedError(f"{found.file} is in the way: {error}; choose another place with --out") from error
+    return [f"the calibration that was there is now {found.previous}"]
