@@ -22,6 +22,7 @@ from common.service.heartbeat import Heartbeat
 from common.service.parent import die_with_parent
 from common.service.signals import DRAIN_S, StopRequest
 from common.service.states import Phase, StateMachine
+from common.service.supervised import stop_was_asked
 
 STEP_S = 0.25
 REPORT_EVERY_NS = 200_000_000
@@ -81,6 +82,8 @@ def _run(factory: ServiceFactory, name: str, argv: Sequence[str] | None, stop: S
     log.setup(own_id, args.log_level)
     if not die_with_parent(parent):
         stop.ask("parent_died")
+    elif stop_was_asked():
+        stop.ask("supervisor_stops_it")
     context = _context(name, own_id, args)
     context.endpoints.prepare()
     _sweep(context)
