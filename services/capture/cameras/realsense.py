@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-import time
+from dataclasses import replace
 from typing import Any
 
 import cv2
@@ -16,7 +16,7 @@ from common.config.models import CameraConfig
 from common.config.realsense import RealSenseOptions
 from common.errors import CameraError, ConfigError
 from common.labels import CameraLabel
-from services.capture.cameras.base import Attached, Description, EndOfStreamError, Grabbed
+from services.capture.cameras.base import Attached, Description, EndOfStreamError, Grabbed, Stamps
 from services.capture.cameras.intrinsics import fit_to_size, label_of
 from services.capture.cameras.pacing import Pacer
 from services.capture.cameras.realsense_geometry import DepthAligner, camera_model
@@ -63,6 +63,7 @@ class RealSenseCamera:
         self._delivered = 0
         self._newest_ns = 0
         self._earlier_loops_ns = 0
+        self._wall_ahead_ns = 0
         try:
             self._open()
         except ConfigError as error:
@@ -81,7 +82,7 @@ class RealSenseCamera:
         depth = None if self._aligner is None else self._aligner.align(pair.frameset)
         number, self._delivered = self._delivered, self._delivered + 1
         if self._recording is None:
-            return Grabbed(bgr, depth, self._device_ns(pair.colour), missed=pair.missed)
+            return Grabbed(bgr, depth, self._stamp(pair.colour), missed=pair.missed)
         self._newest_ns = self._earlier_loops_ns + int(pair.colour.get_timestamp() * 1e6)
         return Grabbed(bgr, depth, self._newest_ns, f"{self._recording.name}#{number}", missed=pair.missed)
 
@@ -123,7 +124,6 @@ class RealSenseCamera:
             depth_sensor = None if live.depth is None else live.depth.sensor
             apply_settings(live.device, live.colour.sensor, depth_sensor, options, self._preset_file)
             live.start()
-        self._wall_ahead_ns = time.time_ns() - clock.monotonic_ns()
         fps = (self._recording and config.fps) or float(stream.colour.fps)
         self._pacer = Pacer(fps) if self._recording is not None and options.pace == "fps" else None
         unit_mm = None if stream.depth is None else _unit_mm(stream.depth.sensor)
@@ -148,6 +148,7 @@ class RealSenseCamera:
             depth_unit_mm=unit_mm,
             paced=played and self._options.pace == "consumer",
             waits_for_start=played and not self._options.loop and self._options.begin == "on_start",
+            stamps="media" if played else "device",
             warnings=tuple(warnings),
         )
 
@@ -190,12 +191,19 @@ class RealSenseCamera:
             raise CameraError(f"camera {self._name} is closed")
         return self._stream
 
-    def _device_ns(self, colour: Any) -> int:
-        """The frame's time, ns: by the device's own clock, or the host's monotonic one where the SDK maps to it."""
+    def _stamp(self, colour: Any) -> int:
+        """The frame's ``device_ns``, and the description says of which clock it is.
+
+        In the domains ``global_time`` and ``system_time`` the SDK has mapped the camera's clock to the host's wall
+        clock; that is taken over (with its global time on, the SDK asks the camera for its time again and again).
+        """
         stamp_ns = int(colour.get_timestamp() * 1e6)
-        if colour.get_frame_timestamp_domain() == rs.timestamp_domain.hardware_clock:
-            return stamp_ns
-        return stamp_ns - self._wall_ahead_ns
+        mapped = colour.get_frame_timestamp_domain() != rs.timestamp_domain.hardware_clock
+        stamps: Stamps = "monotonic" if mapped else "device"
+        if stamps != self._description.stamps:
+            self._description = replace(self._description, stamps=stamps)
+            self._wall_ahead_ns = clock.wall_ns() - clock.monotonic_ns()
+        return stamp_ns - self._wall_ahead_ns if mapped else stamp_ns
 
 
 def attached() -> list[Attached]:
