@@ -1,7 +1,8 @@
 """Everything that travels between processes; the only package that knows ZeroMQ."""
 
+from common.addresses import is_local
 from common.bus.commands import CommandClient, CommandServer
-from common.bus.endpoints import DEFAULT_PREFIX, Endpoints, default_run_folder, is_local
+from common.bus.endpoints import DEFAULT_PREFIX, Endpoints, default_run_folder
 from common.bus.keys import add_client, create_keys
 from common.bus.locks import LOCK_SUFFIX, NameLock, clear_dead, holder_of
 from common.bus.order_client import OrderClient

@@ -10,7 +10,8 @@ import msgpack
 import zmq
 
 from common import clock, log
-from common.bus.endpoints import Endpoints, check_tcp, is_local
+from common.addresses import is_local
+from common.bus.endpoints import Endpoints, check_tcp
 from common.bus.gatekeeper import Gatekeeper
 from common.bus.keys import client_pair, server_pair, server_public
 from common.bus.locks import NameLock

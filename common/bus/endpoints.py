@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import ipaddress
 import os
 import stat
 from dataclasses import dataclass
@@ -96,20 +95,6 @@ def default_run_folder() -> Path:
     if runtime and Path(runtime).is_dir():
         return Path(runtime) / "tagmill"
     return _fallback_run_folder()
-
-
-def is_local(address: str) -> bool:
-    """Whether only this machine reaches ``address``: ipc, inproc, or tcp on a loopback address."""
-    transport, _, rest = address.partition("://")
-    if transport in {"ipc", "inproc"}:
-        return True
-    host = rest.rpartition(":")[0].strip("[]")
-    if host == "localhost":
-        return True
-    try:
-        return ipaddress.ip_address(host).is_loopback
-    except ValueError:
-        return False
 
 
 def check_tcp(address: str) -> None:

@@ -3,11 +3,11 @@
 from __future__ import annotations
 
 import glob
-import ipaddress
 from importlib.metadata import entry_points
 from pathlib import Path
 from urllib.parse import urlsplit
 
+from common.addresses import is_local
 from common.config.models import DRIVER_OPTIONS, CameraConfig, FilesOptions, NetworkConfig
 from common.config.problems import FieldPath, Problems, suggestion
 from common.config.realsense import RealSenseOptions
@@ -46,7 +46,7 @@ def check_network(tree: Tree, network: NetworkConfig, folder: Path, problems: Pr
     fault = _endpoint_fault(network.command)
     if fault:
         note("command", f"'{network.command}' is no ZeroMQ address: {fault}; e.g. tcp://127.0.0.1:5750")
-    elif network.keys is None and not _is_local(network.command):
+    elif network.keys is None and not is_local(network.command):
         note(
             "command",
             f"'{network.command}' can be reached from other machines; name a folder of CURVE keys under "
@@ -115,16 +115,3 @@ def _console_fault(address: str) -> str:
     if parts.scheme != "http" or not parts.hostname:
         return "it begins with http:// and a host"
     return "the port is missing" if not port else ""
-
-
-def _is_local(address: str) -> bool:
-    transport, _, rest = address.partition("://")
-    if transport == "ipc":
-        return True
-    host = rest.rpartition(":")[0].strip("[]")
-    if host == "localhost":
-        return True
-    try:
-        return ipaddress.ip_address(host).is_loopback
-    except ValueError:
-        return False

@@ -12,24 +12,15 @@ import pytest
 from common.bus import CommandClient
 from common.dataset import SessionReader
 from tests.support.stack import ROOT, Stack, wait_for, write_rig
+from tests.support.supervised import OBJECT
 
 PAGE = ROOT / "docs" / "how-to" / "record-over-the-socket.md"
-RIG = """\
-dataset: {root: ./dataset, session: journey}
-objects:
-  - name: box-1
-    size_mm: {width: 400, height: 300, depth: 300}
-    sides:
-      front: {marker: 0, marker_size_mm: 150, border_mm: 15}
-      left:  {marker: 1, marker_size_mm: 150, border_mm: 15}
-      right: {marker: 2, marker_size_mm: 150, border_mm: 15}
-      back:  {marker: 3, marker_size_mm: 150, border_mm: 15}
-      top:   {marker: 4, marker_size_mm: 150, border_mm: 15}
+RIG = f"""\
+dataset: {{root: ./dataset, session: journey}}
 cameras:
-  cam0: {driver: synthetic, width: 640, height: 360, fps: 10}
-pose: {ambiguous: keep}
-ring: {slots: 8, samples: 8}
-"""
+  cam0: {{driver: synthetic, width: 640, height: 360, fps: 10}}
+ring: {{slots: 8, samples: 8}}
+{OBJECT}"""
 
 
 def ten_lines() -> str:

@@ -13,7 +13,6 @@ import numpy as np
 import pytest
 
 from common.config.models import PoseConfig
-from common.geometry import Box, BoxSide, CameraModel, MarkerOnSide
 from common.labels import ObjectLabel, Window
 from common.markers import family
 from common.messages import TrueObject
@@ -21,30 +20,10 @@ from common.scene import Scene
 from services.detect.markers import open_detector
 from services.label.inpaint import Crop, erase, mask_of, regions
 from services.label.labelling import Labelled, Labeller
+from tests.replay.scenes import APART, BOXES, CAMERA, FRAME_NS
 
 FAMILY = family("apriltag_36h11", Path())
-CAMERA = CameraModel(
-    1280,
-    720,
-    np.array([[921.6, 0, 639.5], [0, 921.6, 359.5], [0, 0, 1.0]]),
-    np.array([0.08, -0.15, 0.0005, -0.0005, 0.05]),
-)
 WHOLE = Crop(0, 0, CAMERA.width, CAMERA.height)
-FRAME_NS = 33_333_333
-APART = 37
-"""Frames between two samples: over a second, so that no frame helps the next one."""
-
-
-def _box(name: str, first: int) -> Box:
-    offsets = {"front": (0, 0, 0), "left": (20, -35, 0), "right": (0, 0, 0), "lid": (0, 0, 0), "back": (0, 0, 0)}
-    sides = tuple(
-        BoxSide(class_name, "top" if class_name == "lid" else class_name, (MarkerOnSide(first + i, 50, 10, offset),))
-        for i, (class_name, offset) in enumerate(offsets.items())
-    )
-    return Box(name, "box", (400.0, 300.0, 300.0), sides)
-
-
-BOXES = (_box("box-1", 0), _box("box-2", 10))
 
 
 @dataclass(frozen=True)
