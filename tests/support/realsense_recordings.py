@@ -67,28 +67,34 @@ class SoftCamera:
         ):
             self.device.register_info(key, text)
         self.colour = self.device.add_sensor("RGB Camera")
+        self._colour_profiles: list[Any] = []
+        self._depth_profiles: list[Any] = []
         self._colour_profile = self.add_colour(self.build.colour, self.build.fps, self.build.format, default=True)
         self.depth: Any | None = None
         if self.build.depth is not None:
             self.depth = self.device.add_sensor("Stereo Module")
             self._depth_profile = self.add_depth(self.build.depth, self.build.fps, default=True)
             self.depth.add_read_only_option(rs.option.depth_units, self.build.unit_mm / 1000)
-            between = rs.extrinsics()
-            between.rotation = [float(value) for value in self.build.rotation.T.ravel()]
-            between.translation = [value / 1000 for value in self.build.translation_mm]
-            self._depth_profile.register_extrinsics_to(self._colour_profile, between)
         self.device.create_matcher(rs.matchers.dlr_c)
 
     def add_colour(self, lens: Lens, fps: int, form: str = "bgr8", *, default: bool = False) -> Any:
         """A further colour mode."""
         size = {"bgr8": 3, "rgb8": 3, "bgra8": 4, "rgba8": 4, "yuyv": 2, "uyvy": 2}[form]
         stream = _stream(rs.stream.color, 1, lens, fps, getattr(rs.format, form), size)
-        return self.colour.add_video_stream(stream, default)
+        profile = self.colour.add_video_stream(stream, default)
+        for depth in self._depth_profiles:
+            self._place(depth, profile)
+        self._colour_profiles.append(profile)
+        return profile
 
     def add_depth(self, lens: Lens, fps: int, *, default: bool = False) -> Any:
         """A further depth mode."""
         assert self.depth is not None
-        return self.depth.add_video_stream(_stream(rs.stream.depth, 2, lens, fps, rs.format.z16, 2), default)
+        profile = self.depth.add_video_stream(_stream(rs.stream.depth, 2, lens, fps, rs.format.z16, 2), default)
+        for colour in self._colour_profiles:
+            self._place(profile, colour)
+        self._depth_profiles.append(profile)
+        return profile
 
     def give(self, number: int, colour: Colour, depth: Depth | None = None, at_ms: float | None = None) -> None:
         """Send a frame; without ``depth`` the colour picture alone."""
@@ -97,6 +103,12 @@ class SoftCamera:
             assert self.depth is not None
             self._send(self.depth, self._depth_profile, depth[..., None].view(np.uint8), number, stamp)
         self._send(self.colour, self._colour_profile, colour, number, stamp)
+
+    def _place(self, depth: Any, colour: Any) -> None:
+        between = rs.extrinsics()
+        between.rotation = [float(value) for value in self.build.rotation.T.ravel()]
+        between.translation = [value / 1000 for value in self.build.translation_mm]
+        depth.register_extrinsics_to(colour, between)
 
     def _send(self, sensor: Any, profile: Any, pixels: NDArray[Any], number: int, stamp: float) -> None:
         frame = rs.software_video_frame()
@@ -114,20 +126,29 @@ class SoftCamera:
 class Plugged:
     """An SDK context that sees software cameras and recordings as attached devices."""
 
-    def __init__(self, *cameras: SoftCamera) -> None:
+    def __init__(self) -> None:
         self.context = rs.context()
-        self._seen: list[Any] = []
-        # The context itself holds its devices weakly: what this callback hears keeps them attached.
-        self.context.set_devices_changed_callback(self._seen.append)
-        for camera in cameras:
-            camera.device.add_to(self.context)
+        self._kept: list[Any] = []
+        self._loaded: dict[Path, Any] = {}
+        # The context holds its devices weakly: what this callback hears keeps them attached. A driver that streams
+        # has the callback for itself, so software cameras are to be plugged before it opens.
+        self.context.set_devices_changed_callback(self._kept.append)
 
-    def plug(self, recording: Path) -> None:
-        """A recording as a camera, whose going the SDK tells."""
-        self.context.load_device(str(recording))
+    def plug(self, build: Build | None = None) -> SoftCamera:
+        """A software camera."""
+        camera = SoftCamera(build)
+        self._kept.append(camera)
+        camera.device.add_to(self.context)
+        return camera
 
-    def unplug(self, recording: Path) -> None:
+    def load(self, recording: Path) -> None:
+        """A recording as a camera, whose coming and going the SDK tells."""
+        self._loaded[recording] = self.context.load_device(str(recording))
+
+    def unload(self, recording: Path) -> None:
+        """Unplug it."""
         self.context.unload_device(str(recording))
+        del self._loaded[recording]
 
 
 def record(path: Path, frames: Iterable[tuple[Colour, Depth | None]], build: Build | None = None) -> Path:
@@ -156,8 +177,10 @@ def plain_frames(count: int, build: Build | None = None) -> list[tuple[Colour, D
     made = build or Build()
     return [
         (
-            np.full((made.colour.height, made.colour.width, 3), 10 * number, np.uint8),
-            None if made.depth is None else np.full((made.depth.height, made.depth.width), 1000 * number, np.uint16),
+            np.full((made.colour.height, made.colour.width, 3), 10 * number % 250, np.uint8),
+            None
+            if made.depth is None
+            else np.full((made.depth.height, made.depth.width), 1000 * number % 65000, np.uint16),
         )
         for number in range(1, count + 1)
     ]

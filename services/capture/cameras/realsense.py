@@ -72,14 +72,20 @@ class RealSenseCamera:
         except CameraError:
             self.close()
             raise
+        except RuntimeError as error:
+            self.close()
+            raise camera_error(f"camera {name} can't be opened", error) from error
 
     def grab(self, timeout_s: float) -> Grabbed:
         """See Camera."""
         if self._pacer is not None and not self._pacer.wait(timeout_s):
             raise TimeoutError(f"{self._name}: the next frame is due later")
         pair = self._next(timeout_s)
-        bgr = _bgr(pair.colour)
-        depth = None if self._aligner is None else self._aligner.align(pair.frameset)
+        try:
+            bgr = _bgr(pair.colour)
+            depth = None if self._aligner is None else self._aligner.align(pair.frameset)
+        except RuntimeError as error:
+            raise camera_error(f"camera {self._name} gave a frame that can't be used", error) from error
         number, self._delivered = self._delivered, self._delivered + 1
         if self._recording is None:
             return Grabbed(bgr, depth, self._stamp(pair.colour), missed=pair.missed)

@@ -17,6 +17,7 @@ from services.capture.cameras.realsense_sdk import rs
 
 Array = NDArray[np.float64]
 Depth = NDArray[np.uint16]
+Lookup = tuple[NDArray[np.float32], NDArray[np.float32]]
 WORTH = 0.0002
 """Depth that would change by less than this share is left as it is."""
 _GRID = (33, 25)
@@ -77,29 +78,39 @@ class DepthAligner:
     ``rs.align`` does the work, and two things on which it is silent are put right. On x86 it ignores the colour
     camera's distortion (all models but ``modified_brown_conrady``), so that its result is undistorted: each pixel is
     looked up where an undistorted camera has it. And it keeps z as the depth camera measured it: a turn between the
-    two cameras of half a degree is 4 mm at a metre in the corner of the picture.
+    two cameras of half a degree is 4 mm at a metre in the corner of the picture. Where both pictures come from one
+    eye (D405) nothing is done: the SDK would leave rows of holes.
     """
 
     def __init__(self, colour_profile: Any, depth_profile: Any, unit_mm: float) -> None:
         intrinsics = colour_profile.get_intrinsics()
+        extrinsics = depth_profile.get_extrinsics_to(colour_profile)
+        self._align: Any | None = None
+        self._lookup: Lookup | None = None
+        self._gain: NDArray[np.float32] | None = None
+        self._offset = 0
+        if _same_eye(intrinsics, depth_profile.get_intrinsics(), extrinsics):
+            return
         self._align = rs.align(rs.stream.color)
         model = camera_model(intrinsics)
         rays = _rays(model)
         bent = bool(model.distortion.any()) or model.model == "fisheye"
         ignored = bent and intrinsics.model != rs.distortion.modified_brown_conrady
-        self._lookup = _lookup(model, rays) if ignored else None
-        extrinsics = depth_profile.get_extrinsics_to(colour_profile)
+        if ignored:
+            self._lookup = _lookup(model, rays)
         rotation = np.array(extrinsics.rotation, np.float64).reshape(3, 3).T  # the SDK's are column by column
         translation = np.array(extrinsics.translation, np.float64) * 1000
         axis = rotation[:, 2]  # the depth camera's optical axis in the colour camera's frame
         along = rays[..., 0] * axis[0] + rays[..., 1] * axis[1] + axis[2]
         gain = np.where(np.isfinite(along) & (along > 0), 1 / along, 1.0)
-        self._gain = gain.astype(np.float32) if np.abs(gain - 1).max() > WORTH else None
+        if np.abs(gain - 1).max() > WORTH:
+            self._gain = gain.astype(np.float32)
         self._offset = round(float(axis @ translation) / unit_mm)
 
     def align(self, frameset: Any) -> Depth:
         """The depth picture of a frameset that has colour and depth, as an array of its own."""
-        depth: Any = np.asanyarray(self._align.process(frameset).get_depth_frame().get_data())
+        aligned = frameset if self._align is None else self._align.process(frameset)
+        depth: Any = np.asanyarray(aligned.get_depth_frame().get_data())
         if self._lookup is None:
             depth = depth.copy()
         else:
@@ -138,7 +149,16 @@ def _rays(model: CameraModel) -> Array:
     return np.asarray(cv2.remap(coarse.astype(np.float32), across, down, cv2.INTER_LINEAR), dtype=np.float64)
 
 
-def _lookup(model: CameraModel, rays: Array) -> tuple[NDArray[np.float32], NDArray[np.float32]]:
+def _same_eye(colour: Any, depth: Any, extrinsics: Any) -> bool:
+    """Whether a pixel of the one picture is the same pixel of the other."""
+    kept = ("width", "height", "fx", "fy", "ppx", "ppy", "coeffs")
+    same = all(getattr(colour, key) == getattr(depth, key) for key in kept)
+    lenses = colour.model == depth.model or not any(colour.coeffs)
+    placed = np.allclose(extrinsics.rotation, np.eye(3).ravel(), atol=1e-6) and not any(extrinsics.translation)
+    return same and lenses and placed
+
+
+def _lookup(model: CameraModel, rays: Array) -> Lookup:
     """Where the same camera without distortion has each pixel's ray, as cv2.remap wants it."""
     matrix = model.matrix
     across = np.nan_to_num(rays[..., 0] * matrix[0, 0] + matrix[0, 2], nan=-10.0)

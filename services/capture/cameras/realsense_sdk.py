@@ -59,7 +59,7 @@ def find_device(context: Any, serial: str | None) -> Any:
     if serial in serials:
         return devices[serials.index(serial)]
     wanted = "no RealSense camera is attached" if serial is None else f"no RealSense camera {serial} is attached"
-    others = f" (attached: {', '.join(serials)})" if serials else ""
+    others = f" (attached: {', '.join(sorted(serials))})" if serials else ""
     shut = unreadable() if not devices else ""
     raise CameraError(f"{wanted}{others}; {shut or 'check its cable and power, and that it is on a USB 3 port'}")
 
