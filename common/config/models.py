@@ -8,6 +8,7 @@ from typing import Annotated, Any, Literal
 from pydantic import BaseModel, ConfigDict, Field, ValidationInfo, field_validator
 from pydantic_core import PydanticCustomError
 
+from common.config.addresses import address_fault
 from common.config.realsense import RealSenseOptions
 from common.config.section import Section
 from common.ids import NAME_PATTERN
@@ -234,9 +235,26 @@ class WebcamOptions(Section):
     def _names_it_alone(cls, value: object, info: ValidationInfo) -> object:
         others = [key for key in ("path", "index") if key != info.field_name and info.data.get(key) is not None]
         if value is not None and others:
-            raise PydanticCustomError(
-                "exclusive", "{key} says already which camera it is; keep one", {"key": others[0]}
-            )
+            raise PydanticCustomError("said", "{key} says already which camera it is; keep one", {"key": others[0]})
+        return value
+
+
+class StreamOptions(Section):
+    """Keys of ``driver: stream``. ``url`` may hold a login, which is never shown nor stored.
+
+    ``transport`` is that of RTSP. ``timeout_s``: a camera that gives nothing for so long is lost, and opened again.
+    """
+
+    url: str
+    transport: Literal["tcp", "udp"] = "tcp"
+    timeout_s: Annotated[float, Field(ge=0.5, le=60)] = 5.0
+
+    @field_validator("url")
+    @classmethod
+    def _is_an_address(cls, value: str) -> str:
+        fault = address_fault(value)
+        if fault:
+            raise PydanticCustomError("said", "is no address of a stream: {fault}", {"fault": fault})
         return value
 
 
@@ -245,6 +263,7 @@ DRIVER_OPTIONS: dict[str, type[Section]] = {
     "files": FilesOptions,
     "kinect2": Kinect2Options,
     "webcam": WebcamOptions,
+    "stream": StreamOptions,
     "realsense": RealSenseOptions,
 }
 """Built-in drivers and the model of their keys; other drivers check their own."""

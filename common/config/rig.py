@@ -10,6 +10,7 @@ from functools import cached_property
 from pathlib import Path
 from typing import Any
 
+from common.config.addresses import presentable
 from common.config.calibration import read_calibration
 from common.config.differences import plain_calibration, plain_family, plain_objects
 from common.config.models import DRIVER_OPTIONS, CameraConfig, RigConfig
@@ -92,7 +93,7 @@ class Rig:
         """
         cameras = {
             name: {
-                **camera.model_dump(mode="json", exclude={"calibration"}),
+                **presentable(camera.model_dump(mode="json", exclude={"calibration"})),
                 "calibration": plain_calibration(self.calibrations.get(name)),
             }
             for name, camera in self.config.cameras.items()

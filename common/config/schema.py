@@ -219,5 +219,5 @@ _REASONS: dict[str, _Reason] = {
     "less_than_equal": _bound("at most", "le"),
     "too_short": _length,
     "too_long": _length,
-    "exclusive": _said,
+    "said": _said,
 }

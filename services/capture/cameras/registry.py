@@ -39,6 +39,9 @@ BUILT_IN: dict[str, Entry] = {
         "services.capture.cameras.kinect2:Kinect2Camera",
         "install libfreenect2, then pip install 'tagmill[kinect2]', as docs/how-to/kinect-v2.md says",
     ),
+    "stream": Entry(
+        "services.capture.cameras.stream:StreamCamera", "install tagmill with its dependencies: make setup"
+    ),
     "webcam": Entry(
         "services.capture.cameras.webcam:WebcamCamera", "the webcam driver needs Linux and tagmill's dependencies"
     ),

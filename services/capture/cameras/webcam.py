@@ -13,7 +13,7 @@ from common import clock
 from common.config import Rig
 from common.config.models import CameraConfig, WebcamOptions
 from common.errors import CameraError
-from services.capture.cameras.base import Description, FrameSkippedError, Grabbed
+from services.capture.cameras.base import Description, FrameSkippedError, Grabbed, Stamps
 from services.capture.cameras.intrinsics import known_or_guessed
 from services.capture.cameras.options import read_options
 from services.capture.cameras.webcam_controls import Lock, apply, left_on, locks_of
@@ -25,6 +25,8 @@ SIZE = (1280, 720)
 FPS = 30.0
 FIRST_PICTURE_S = 4.0
 """A camera that has given nothing for this long after its start won't."""
+STAMP_IS_OLD_NS = 10_000_000_000
+"""A picture that claims to be older than this was stamped by another clock."""
 COMPRESSED = "MJPG"
 _END_OF_JPEG = b"\xff\xd9"
 _SAME_RATE = 0.05
@@ -39,7 +41,8 @@ class WebcamCamera:
 
     Its constructor returns with the first picture at hand, so a camera that opens and gives none is told as lost.
     MJPG is decoded here and not by OpenCV's backend, which passes a damaged picture on as the one before.
-    ``device_ns`` is the kernel's CLOCK_MONOTONIC, the clock of ``common.clock.monotonic_ns``.
+    ``device_ns`` is the kernel's CLOCK_MONOTONIC, the clock of ``common.clock.monotonic_ns``, when its first picture
+    looks so; else it is told as the device's own.
     """
 
     def __init__(self, name: str, config: CameraConfig, rig: Rig, places: Places = MACHINE) -> None:
@@ -150,7 +153,16 @@ class WebcamCamera:
     def _describe(self, told: tuple[str, ...], settings: tuple[str, ...]) -> Description:
         width, height = self._size
         camera, warnings = known_or_guessed(self._name, self._calibration, width, height, self._serial)
-        return Description(camera=camera, fps=self._fps, warnings=(*told, *settings, *warnings))
+        stamps = self._kind_of_stamps()
+        return Description(camera=camera, fps=self._fps, warnings=(*told, *settings, *warnings), stamps=stamps)
+
+    def _kind_of_stamps(self) -> Stamps:
+        """Nearly all drivers stamp by the host's clock; one may have its own, or none."""
+        assert self._pending is not None
+        stamp = self._pending[1]
+        if stamp is None:
+            return "arrival"
+        return "monotonic" if 0 <= clock.monotonic_ns() - stamp < STAMP_IS_OLD_NS else "device"
 
     # -- pictures
 

@@ -17,6 +17,7 @@ from common.geometry import CameraModel
 from services.capture.cameras.base import Camera, Description, EndOfStreamError, Grabbed, Rewindable
 from services.capture.cameras.registry import BUILT_IN, open_camera
 from tests.support.realsense_recordings import plain_frames, record
+from tests.support.streams import RtspServer, write_h264
 from tests.support.v4l2 import device as v4l2
 from tests.unit.services.capture.conftest import write_calibration, write_depths, write_pictures, write_video
 
@@ -29,6 +30,7 @@ class Case:
 
     ``live``: it never ends and gives what is before it, ``hush`` makes it give nothing. ``here``: whether this process
     can drive it; who needs a process of its own runs this module there. ``told_as``: how a lost one is named.
+    ``fill`` puts into the keys what only ``prepare`` knows; ``clean`` ends what it started.
     """
 
     driver: str
@@ -40,6 +42,8 @@ class Case:
     hush: Callable[[Path], object] | None = None
     here: Callable[[], bool] = lambda: True
     told_as: Callable[[Path], str] = str
+    fill: Callable[[Path, str], str] = lambda folder, keys: keys
+    clean: Callable[[Path], object] = lambda folder: None
 
 
 def _photos(folder: Path) -> None:
@@ -50,6 +54,23 @@ def _rgbd(folder: Path) -> None:
     _photos(folder)
     write_depths(folder / "far", FRAMES)
     write_calibration(folder / "cam.yaml", 64, 48)
+
+
+SERVERS: dict[Path, RtspServer] = {}
+
+
+def _serve(folder: Path) -> None:
+    """A network camera that is on and sends, whatever it did before."""
+    if folder in SERVERS:
+        SERVERS[folder].start()
+    else:
+        write_h264(folder / "clip.mp4")
+        SERVERS[folder] = RtspServer(folder)
+
+
+def _switch_off(folder: Path) -> None:
+    if folder in SERVERS:
+        SERVERS.pop(folder).stop()
 
 
 CASES = {
@@ -81,6 +102,18 @@ CASES = {
         live=True,
         hush=lambda folder: setattr(v4l2.state_of(folder / "video0"), "stalled", 1),
         here=v4l2.is_preloaded,
+    ),
+    "stream": Case(
+        "stream",
+        "url: URL, timeout_s: 3",
+        prepare=_serve,
+        unplug=lambda folder: SERVERS[folder].stop(),
+        live=True,
+        hush=lambda folder: SERVERS[folder].hold(),
+        here=lambda: not v4l2.is_preloaded(),
+        told_as=lambda folder: SERVERS[folder].url("clip.mp4"),
+        fill=lambda folder, keys: keys.replace("URL", SERVERS[folder].url("clip.mp4")),
+        clean=_switch_off,
     ),
     "realsense-recording": Case(
         "realsense",
@@ -120,16 +153,17 @@ def case(request: pytest.FixtureRequest) -> Case:
 
 
 @pytest.fixture(scope="module")
-def folder(case: Case, tmp_path_factory: pytest.TempPathFactory) -> Path:
+def folder(case: Case, tmp_path_factory: pytest.TempPathFactory) -> Iterator[Path]:
     made = tmp_path_factory.mktemp(case.driver)
     case.prepare(made)
-    return made
+    yield made
+    case.clean(made)
 
 
 @pytest.fixture(scope="module")
 def rig(case: Case, folder: Path) -> Rig:
     path = folder / "rig.yaml"
-    path.write_text(f"{OBJECTS}cameras:\n  cam0: {{driver: {case.driver}, {case.keys}}}\n")
+    path.write_text(f"{OBJECTS}cameras:\n  cam0: {{driver: {case.driver}, {case.fill(folder, case.keys)}}}\n")
     return load_rig(path)
 
 
@@ -289,3 +323,4 @@ def test_unplugged_is_a_camera_error_and_plugged_in_again_it_is_back(case: Case,
     back = open_camera("cam0", rig.camera("cam0"), rig)
     assert len(some_of(back) if case.live else all_of(back)) == FRAMES
     back.close()
+    case.clean(folder)
