@@ -143,6 +143,7 @@ def _judged(solution: Solution, *, torn: bool) -> list[Reason]:
         focal_share=solution.focal_share,
         held_out_px=solution.chosen.score,
         worst_px=solution.map.worst_px,
+        worst_place=solution.map.worst_place,
         warp_share=solution.warp_mm / float((extent[1] - extent[0]).max()),
         torn=torn,
     )

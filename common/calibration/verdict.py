@@ -144,7 +144,14 @@ def _blur(views: Sequence[View]) -> list[Reason]:
 
 
 def judge_fit(
-    *, diagonal_px: float, focal_share: float, held_out_px: float, worst_px: float, warp_share: float, torn: bool
+    *,
+    diagonal_px: float,
+    focal_share: float,
+    held_out_px: float,
+    worst_px: float,
+    worst_place: str,
+    warp_share: float,
+    torn: bool,
 ) -> list[Reason]:
     """What a fit says of itself: shares of 1, and px."""
     reasons: list[Reason] = []
@@ -161,9 +168,8 @@ def judge_fit(
         words = f"held-out views are predicted to {held_out_px:.2f} px only: is the board the right one, and flat?"
         reasons.append(Reason("bad_fit", level, words))
     if 1000 * worst_px / diagonal_px > GOOD_PROJECTION:
-        words = (
-            f"in places of the picture a projection is uncertain by {min(worst_px, 999):.0f} px: show the board there"
-        )
+        words = f"at the {worst_place} of the picture a projection is uncertain by {min(worst_px, 999):.0f} px"
+        words += ": show the board there"
         reasons.append(Reason("unsure_rim", "usable", words))
     if warp_share > GOOD_WARP:
         words = f"the board is bent by {100 * warp_share:.1f} % of its length: glue it to something flat"
