@@ -12,6 +12,7 @@ from common.geometry.box import (
     marker_points,
 )
 from common.geometry.camera import CameraModel
+from common.geometry.difference import ModelDifference, model_difference
 from common.geometry.pose import Pose
 from common.geometry.sight import hidden
 
@@ -25,7 +26,9 @@ __all__ = [
     "CameraModel",
     "Face",
     "MarkerOnSide",
+    "ModelDifference",
     "Pose",
     "hidden",
     "marker_points",
+    "model_difference",
 ]

@@ -5,11 +5,13 @@ from __future__ import annotations
 from typing import Literal
 
 from common.errors import CameraError
-from common.geometry import CameraModel
+from common.geometry import CameraModel, model_difference
 from common.labels import CameraLabel
 
 _SAME_ASPECT = 0.005
 """Two aspect ratios are the same if they differ by less than this share (sizes are whole pixels)."""
+_FAR_APART = 0.01
+"""Calibration and factory contradict each other beyond this share of the picture's diagonal."""
 
 
 def label_of(
@@ -74,9 +76,34 @@ def known_or_guessed(
         )
         return label_of(name, CameraModel.guess(width, height), intrinsics_from="guess", serial=serial), (warning,)
     label, warnings = fit_to_size(calibration, width, height)
-    if serial is None or calibration.serial is None:
-        return label.model_copy(update={"serial": serial or calibration.serial}), warnings
-    if calibration.serial not in serial:
-        told = f"the calibration of {name} is of the camera {calibration.serial}, this one is {serial}"
-        warnings = (*warnings, told)
-    return label.model_copy(update={"serial": serial}), warnings
+    bound = label.model_copy(update={"serial": serial or calibration.serial})
+    return bound, (*warnings, *_of_another(name, calibration, serial))
+
+
+def known_or_factory(
+    name: str, calibration: CameraLabel | None, factory: CameraModel, serial: str | None = None
+) -> tuple[CameraLabel, tuple[str, ...]]:
+    """Intrinsics of a camera that brings its own from the factory, and what to tell the operator about them.
+
+    The calibration's if there is one (see ``fit_to_size``); if it lies far from the factory's, that is told: one of
+    the two is wrong. ``factory`` is for the pictures that the camera gives.
+    """
+    if calibration is None:
+        return label_of(name, factory, intrinsics_from="factory", serial=serial), ()
+    label, warnings = fit_to_size(calibration, factory.width, factory.height)
+    apart = model_difference(factory, CameraModel.from_label(label))
+    told: tuple[str, ...] = ()
+    if apart.edge_px > _FAR_APART * (factory.width**2 + factory.height**2) ** 0.5:
+        words = f"the calibration of {name} and its factory's intrinsics differ by {apart.edge_px:.0f} px"
+        where = f"at the picture's edge ({apart.centre_px:.0f} px in the middle)"
+        cure = "calibrate again, or take `calibration` out of the rig file to use the factory's"
+        told = (f"{words} {where}: {cure}",)
+    bound = label.model_copy(update={"serial": serial or calibration.serial})
+    return bound, (*warnings, *_of_another(name, calibration, serial), *told)
+
+
+def _of_another(name: str, calibration: CameraLabel, serial: str | None) -> tuple[str, ...]:
+    """A warning if a calibration was made with another camera; some name more than the number as their serial."""
+    if serial is None or calibration.serial is None or calibration.serial in serial:
+        return ()
+    return (f"the calibration of {name} is of the camera {calibration.serial}, this one is {serial}: calibrate it",)

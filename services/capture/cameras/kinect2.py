@@ -16,9 +16,8 @@ from common import clock
 from common.config import Rig
 from common.config.models import CameraConfig, Kinect2Options
 from common.errors import CameraError, ConfigError
-from common.labels import CameraLabel
 from services.capture.cameras.base import Attached, Description, Grabbed
-from services.capture.cameras.intrinsics import fit_to_size, label_of
+from services.capture.cameras.intrinsics import known_or_factory
 from services.capture.cameras.kinect2_frames import (
     HEIGHT,
     WIDTH,
@@ -69,7 +68,8 @@ class Kinect2Camera:
             self._wait_first()
             colour = self._device.getColorCameraParams()
             self._registration = freenect2.Registration(self._device.getIrCameraParams(), colour)
-            camera = self._camera_label(rig.calibration(name), colour)
+            factory = camera_model(colour, self._width, self._height)
+            camera, warnings = known_or_factory(name, rig.calibration(name), factory, _text(self._serial))
         except (CameraError, ConfigError):
             self.close()
             raise
@@ -78,7 +78,7 @@ class Kinect2Camera:
         self._big_depth = freenect2.Frame(*_BIG_DEPTH_SIZE)
         self._clock = TickClock()
         self._lateness: list[float] = []
-        self._description = Description(camera, config.fps or FPS, depth_unit_mm=1.0)
+        self._description = Description(camera, config.fps or FPS, depth_unit_mm=1.0, warnings=warnings)
 
     def grab(self, timeout_s: float) -> Grabbed:
         """See Camera."""
@@ -143,15 +143,9 @@ class Kinect2Camera:
                 "what moves has its depth elsewhere; a faster `pipeline` (opengl, opencl) brings them together"
             )
             known = self._description
-            self._description = Description(known.camera, known.fps, known.depth_unit_mm, warnings=(told,))
-
-    def _camera_label(self, calibration: CameraLabel | None, colour: Any) -> CameraLabel:
-        serial = _text(self._serial)
-        if calibration is None:
-            model = camera_model(colour, self._width, self._height)
-            return label_of(self._name, model, intrinsics_from="factory", serial=serial)
-        fitted, _ = fit_to_size(calibration, self._width, self._height)  # this camera scales, it never cuts
-        return fitted.model_copy(update={"serial": serial})
+            self._description = Description(
+                known.camera, known.fps, known.depth_unit_mm, warnings=(*known.warnings, told)
+            )
 
 
 def _library() -> Any:

@@ -17,7 +17,7 @@ from common.config.realsense import RealSenseOptions
 from common.errors import CameraError, ConfigError
 from common.labels import CameraLabel
 from services.capture.cameras.base import Attached, Description, EndOfStreamError, Grabbed, Stamps
-from services.capture.cameras.intrinsics import fit_to_size, label_of
+from services.capture.cameras.intrinsics import known_or_factory
 from services.capture.cameras.pacing import Pacer
 from services.capture.cameras.realsense_geometry import DepthAligner, camera_model
 from services.capture.cameras.realsense_modes import COLOUR_FORMATS, DEPTH_FORMATS, Wish, modes_of, summary
@@ -160,17 +160,9 @@ class RealSenseCamera:
 
     def _intrinsics(self, stream: Stream) -> tuple[CameraLabel, list[str]]:
         serial = info_of(stream.device, rs.camera_info.serial_number) or None
-        if self._calibration is None:
-            model = camera_model(stream.colour.profile.get_intrinsics())
-            return label_of(self._name, model, intrinsics_from="factory", serial=serial), []
-        fitted, warnings = fit_to_size(self._calibration, *stream.colour.size)
-        known = self._calibration.serial
-        if known and serial and known != serial:
-            other = (
-                f"the calibration of {self._name} is of the camera {known}, attached is {serial}: calibrate this one"
-            )
-            warnings = (*warnings, other)
-        return fitted.model_copy(update={"serial": serial}), list(warnings)
+        factory = camera_model(stream.colour.profile.get_intrinsics())
+        label, warnings = known_or_factory(self._name, self._calibration, factory, serial)
+        return label, list(warnings)
 
     def _next(self, timeout_s: float) -> Pair:
         try:
