@@ -194,10 +194,16 @@ class SyntheticOptions(Section):
 
 
 class FilesOptions(Section):
-    """Keys of ``driver: files``. ``path`` is a folder, a glob or a video; ``depth_path`` a folder of depth PNGs."""
+    """Keys of ``driver: files``. ``path`` is a folder, a glob, a video or a bag; ``depth_path`` a folder of depth PNGs.
+
+    The topics are those of a bag.
+    """
 
     path: Path
     depth_path: Path | None = None
+    topic: str | None = None
+    depth_topic: str | None = None
+    info_topic: str | None = None
     depth_unit_mm: PositiveMm = 1.0
     loop: bool = False
     begin: Literal["on_start", "at_start"] = "on_start"

@@ -8,7 +8,8 @@ from common.errors import CameraError
 from common.geometry import CameraModel
 from common.labels import CameraLabel
 from services.capture.cameras.base import Description, EndOfStreamError, FrameSkippedError, Grabbed
-from services.capture.cameras.file_sources import FileFrame, Source, open_source
+from services.capture.cameras.file_opening import open_source
+from services.capture.cameras.file_sources import FileFrame, Source
 from services.capture.cameras.intrinsics import fit_to_size, label_of
 from services.capture.cameras.options import read_options
 from services.capture.cameras.pacing import Pacer
@@ -30,18 +31,20 @@ class FilesCamera:
         self._config = config
         self._options = read_options(name, config, FilesOptions)
         self._calibration = rig.calibration(name)
-        self._depth = self._options.depth_path is not None
         depth_path = None if self._options.depth_path is None else rig.resolve(self._options.depth_path)
-        self._source: Source | None = open_source(rig.resolve(self._options.path), depth_path)
+        source = open_source(name, rig.resolve(self._options.path), depth_path, self._options)
+        self._source: Source | None = source
+        self._recorded = source.recorded
+        self._depth_unit_mm = self._recorded.depth_unit_mm if depth_path is None else self._options.depth_unit_mm
         self._known: dict[tuple[int, int], Description] = {}
-        self._fps = config.fps or self._source.fps or PICTURES_PER_S
+        self._fps = config.fps or source.fps or PICTURES_PER_S
         self._pacer = Pacer(self._fps)
         self._delivered = False
-        self._newest_ns = 0
+        self._first_ns = self._newest_ns = 0
         self._earlier_loops_ns = 0
         try:
-            self._description = self._describe_first(self._source)
-            self._source.rewind(0)
+            self._description = self._describe_first(source)
+            source.rewind(0)
         except CameraError:
             self.close()
             raise
@@ -54,15 +57,17 @@ class FilesCamera:
         frame = source.read()
         if frame is None and self._options.loop and self._delivered:
             self._delivered = False
-            self._earlier_loops_ns = self._newest_ns + int(1e9 / self._fps)
+            self._earlier_loops_ns = self._newest_ns + int(1e9 / self._fps) - self._first_ns
             source.rewind(0)
             frame = source.read()
         if frame is None:
             raise EndOfStreamError(f"{self._name}: all of {self._options.path} was played")
         self._description = self._fitting(frame)
-        self._delivered = True
+        begins, self._delivered = not self._delivered, True
         if frame.device_ns is None:
             return Grabbed(frame.bgr, frame.depth, None, frame.name)
+        if begins:
+            self._first_ns = frame.device_ns
         self._newest_ns = self._earlier_loops_ns + frame.device_ns
         return Grabbed(frame.bgr, frame.depth, self._newest_ns, frame.name)
 
@@ -73,6 +78,7 @@ class FilesCamera:
     def rewind(self, frame: int = 0) -> None:
         """See Rewindable."""
         self._opened().rewind(frame)
+        self._delivered = False
         self._earlier_loops_ns = 0
         self._pacer.restart()
 
@@ -117,7 +123,7 @@ class FilesCamera:
         return Description(
             camera=camera,
             fps=self._fps,
-            depth_unit_mm=self._options.depth_unit_mm if self._depth else None,
+            depth_unit_mm=self._depth_unit_mm,
             paced=self._options.pace == "consumer",
             waits_for_start=not self._options.loop and self._options.begin == "on_start",
             stamps="media",
@@ -125,13 +131,18 @@ class FilesCamera:
         )
 
     def _intrinsics(self, width: int, height: int, name: str) -> tuple[CameraLabel, tuple[str, ...]]:
-        if self._calibration is None:
+        calibration = self._calibration
+        if calibration is None and self._recorded.camera is not None:
+            calibration = label_of(
+                self._name, self._recorded.camera, intrinsics_from="factory", serial=self._recorded.serial
+            )
+        if calibration is None:
             warning = (
                 f"camera {self._name} has no calibration: its intrinsics are guessed, so distances are too; "
                 "run `tagmill calibrate` and name the file as `calibration`"
             )
             return label_of(self._name, CameraModel.guess(width, height), intrinsics_from="guess"), (warning,)
         try:
-            return fit_to_size(self._calibration, width, height)
+            return fit_to_size(calibration, width, height)
         except CameraError as error:
             raise FrameSkippedError(f"{name}: {error.message}", "wrong_size") from error

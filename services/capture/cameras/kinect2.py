@@ -6,6 +6,7 @@ before it is opened, and what happens nevertheless is told by the next process (
 
 from __future__ import annotations
 
+from dataclasses import replace
 from statistics import median
 from typing import Any
 
@@ -78,7 +79,9 @@ class Kinect2Camera:
         self._big_depth = freenect2.Frame(*_BIG_DEPTH_SIZE)
         self._clock = TickClock()
         self._lateness: list[float] = []
-        self._description = Description(camera, config.fps or FPS, depth_unit_mm=1.0, warnings=warnings)
+        self._description = Description(
+            camera, config.fps or FPS, depth_unit_mm=1.0, stamps="device", warnings=warnings
+        )
 
     def grab(self, timeout_s: float) -> Grabbed:
         """See Camera."""
@@ -143,9 +146,7 @@ class Kinect2Camera:
                 "what moves has its depth elsewhere; a faster `pipeline` (opengl, opencl) brings them together"
             )
             known = self._description
-            self._description = Description(
-                known.camera, known.fps, known.depth_unit_mm, warnings=(*known.warnings, told)
-            )
+            self._description = replace(known, warnings=(*known.warnings, told))
 
 
 def _library() -> Any:

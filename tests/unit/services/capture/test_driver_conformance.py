@@ -19,6 +19,7 @@ from services.capture.cameras.registry import BUILT_IN, open_camera
 from tests.support.realsense_recordings import plain_frames, record
 from tests.support.streams import RtspServer, write_h264
 from tests.support.v4l2 import device as v4l2
+from tests.unit.services.capture.bag_writing import write_rgbd
 from tests.unit.services.capture.conftest import write_calibration, write_depths, write_pictures, write_video
 
 FRAMES = 4
@@ -71,6 +72,11 @@ def _serve(folder: Path) -> None:
 def _switch_off(folder: Path) -> None:
     if folder in SERVERS:
         SERVERS.pop(folder).stop()
+
+
+def _fresh(path: Path) -> Path:
+    path.unlink(missing_ok=True)
+    return path
 
 
 CASES = {
@@ -127,6 +133,13 @@ CASES = {
         "recording: rec.db3, pace: consumer, depth: false",
         prepare=lambda folder: record(folder / "rec.db3", plain_frames(FRAMES)),
         unplug=lambda folder: (folder / "rec.db3").unlink(),
+    ),
+    "files-bag": Case(
+        "files",
+        "path: recorded.bag, depth_topic: /cam/aligned_depth/image_raw, fps: 200",
+        depth=True,
+        prepare=lambda folder: write_rgbd("ros1", _fresh(folder / "recorded.bag"), FRAMES),
+        unplug=lambda folder: (folder / "recorded.bag").unlink(),
     ),
 }
 OBJECTS = """\
