@@ -27,6 +27,8 @@ FIRST_PICTURE_S = 4.0
 """A camera that has given nothing for this long after its start won't."""
 STAMP_IS_OLD_NS = 10_000_000_000
 """A picture that claims to be older than this was stamped by another clock."""
+LATE_PERIODS = 1.5
+"""A picture this old may have a newer one behind it; one that has just come is up to a period old."""
 COMPRESSED = "MJPG"
 _END_OF_JPEG = b"\xff\xd9"
 _SAME_RATE = 0.05
@@ -173,7 +175,7 @@ class WebcamCamera:
             raise TimeoutError(f"{self._called} gave no picture in {timeout_s:g} s")
         raw, stamp = self._retrieved(capture)
         for _ in range(self._options.buffers):
-            behind = stamp is not None and clock.monotonic_ns() - stamp > 2e9 / self._fps
+            behind = stamp is not None and clock.monotonic_ns() - stamp > LATE_PERIODS * 1e9 / self._fps
             if not behind or not self._wait(capture, 0.0):
                 break
             raw, stamp = self._retrieved(capture)

@@ -85,6 +85,13 @@ def comes(camera: WebcamCamera, timeout_s: float) -> bool:
     return True
 
 
+def until(condition: Callable[[], bool]) -> None:
+    deadline = time.monotonic() + 20
+    while not condition():
+        assert time.monotonic() < deadline
+        os.sched_yield()
+
+
 def told(camera: WebcamCamera) -> str:
     return "\n".join(camera.describe().warnings)
 
@@ -103,13 +110,13 @@ def test_pictures_come_one_after_the_other_with_the_kernels_time(webcam: Webcam,
     camera = opened(f"{SMALL}, fps: 15")
     frames = frames_of(camera, 6)
     after = time.monotonic_ns()
-    numbers = shades(frames)
-    steps = [(later - earlier) % v4l2.PICTURES for earlier, later in itertools.pairwise(numbers)]
-    assert all(steps), "no picture twice"
     stamps = [frame.device_ns or 0 for frame in frames]
     assert before < stamps[0] < stamps[-1] < after
     periods = [(later - earlier) * 15 / 1e9 for earlier, later in itertools.pairwise(stamps)]
     assert np.allclose(periods, np.round(periods), atol=0.01)
+    assert min(periods) > 0.9
+    numbers = shades(frames)
+    assert len(set(numbers)) > 1
 
 
 def test_a_size_of_the_rig_that_the_camera_lacks_is_refused_with_those_it_has(webcam: Webcam, opened: Open) -> None:
@@ -162,14 +169,13 @@ def test_another_rate_and_another_format_are_told(places: Places, opened: Open) 
 
 def test_two_buffers_keep_the_rate_that_one_halves(webcam: Webcam, opened: Open) -> None:
     """A picture that begins while the only buffer is being read is lost, as with a USB camera."""
-    lost = []
+    shortest = []
     for buffers in (1, 2):
         camera = opened(f"{SMALL}, fps: 15, buffers: {buffers}")
-        stamps = [frame.device_ns or 0 for frame in frames_of(camera, 6)]
-        lost.append(sum(round((b - a) * 15 / 1e9) - 1 for a, b in itertools.pairwise(stamps)))
+        stamps = [frame.device_ns or 0 for frame in frames_of(camera, 10)]
+        shortest.append(min(round((b - a) * 15 / 1e9) for a, b in itertools.pairwise(stamps)))
         camera.close()
-    assert lost[0] >= 4
-    assert lost[1] < lost[0]
+    assert shortest == [2, 1]
 
 
 def test_settings_are_locked_and_their_automatisms_off(webcam: Webcam, opened: Open) -> None:
@@ -256,12 +262,12 @@ def test_a_slow_consumer_gets_the_newest(webcam: Webcam, opened: Open) -> None:
     camera = opened(f"{SMALL}, fps: 30, buffers: 4")
     camera.grab(5.0)
     begun = webcam.state.pictures
-    deadline = time.monotonic() + 10
-    while webcam.state.pictures < begun + 4 and time.monotonic() < deadline:
-        os.sched_yield()
-    shown = [frame.device_ns or 0 for frame in frames_of(camera, 2)]
-    assert shown[1] - shown[0] > 0
-    assert webcam.state.pictures >= begun + 4
+    until(lambda: webcam.state.pictures >= begun + 4)
+    webcam.state.stalled = 1
+    late = time.monotonic() + 0.1
+    until(lambda: time.monotonic() > late)
+    assert camera.grab(5.0).bgr.any()
+    assert not comes(camera, 0.1), "those that waited before it are passed over"
 
 
 def test_a_frozen_camera_repeats_its_time(webcam: Webcam, opened: Open) -> None:
@@ -275,7 +281,7 @@ def test_a_frozen_camera_repeats_its_time(webcam: Webcam, opened: Open) -> None:
 
 
 def test_a_picture_that_came_damaged_costs_only_itself(webcam: Webcam, opened: Open) -> None:
-    camera = opened(SMALL)
+    camera = opened(f"{SMALL}, buffers: 1")
     camera.grab(5.0)
     webcam.state.cut = 1
     with pytest.raises(FrameSkippedError, match="damaged") as caught:
