@@ -144,7 +144,7 @@ class OrderDesk:
             self._finish(order, self._keeper.refusal)
             return
         if changed := book.camera_differences(order.label.camera):
-            message = f"{'; '.join(changed)} (session {book.name}); open another session for the new calibration"
+            message = f"{'; '.join(changed)} (session {book.name}); open another session for it: 'tagmill session NAME'"
             self._finish(order, ErrorInfo(code=SESSION_DIFFERS, message=message))
             return
         # A camera's first sample waits until session.json knows the camera.

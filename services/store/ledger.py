@@ -75,6 +75,9 @@ class Book:
         if not history:
             return ()
         known = history[-1].camera
+        if (known.width, known.height) != (camera.width, camera.height):
+            now, then = (f"{one.width}x{one.height}" for one in (camera, known))
+            return (f"camera {camera.name} gives pictures of {now} now, and this session has it with {then}",)
         return tuple(
             f"camera {camera.name}: {field} was {getattr(known, field)}, is {getattr(camera, field)}"
             for field in _CALIBRATION

@@ -103,7 +103,10 @@ class StoreService:
         if not changed:
             self._warned.pop(name, None)
         elif name not in self._warned:
-            text = f"{'; '.join(changed)}: its samples are refused until another session is opened"
+            text = (
+                f"{'; '.join(changed)}: its samples are refused until another session is opened ('tagmill session "
+                "NAME'), or the camera is as it was"
+            )
             self._warned[name] = Warned(wall_ns=wall_ns(), code=SESSION_DIFFERS, message=text)
 
     def drain(self) -> bool:
