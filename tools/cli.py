@@ -43,6 +43,7 @@ SUB_COMMANDS = (
     SubCommand("reload", "tools.commands.reload", "check the changed rig file and let the stack take it over"),
     SubCommand("preview", "tools.commands.preview", "keep the inpainted preview of a camera going"),
     SubCommand("help", "tools.commands.help", "the commands of the command socket with their fields"),
+    SubCommand("cameras", "tools.cameras.command", "which cameras are attached; how one of them does alone"),
     SubCommand("check", "tools.check", "say all mistakes of a rig file at once"),
     SubCommand(
         "calibrate", "tools.calibrate.command", "calibrate a camera from pictures of a board, and say how good it is"

@@ -1,0 +1,1 @@
+"""`tagmill cameras`: what is attached, and one camera alone."""
