@@ -10,7 +10,8 @@ from pydantic import Field, ValidationError
 
 from common.dataset.layout import SESSION_FILE
 from common.errors import DatasetError
-from common.labels import CameraLabel, CameraLedger, Ledger, Part
+from common.labels import CameraLabel, Part
+from common.ledgers import CameraLedger, Ledger
 
 P = TypeVar("P", bound=Part)
 

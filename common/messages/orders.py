@@ -6,7 +6,8 @@ from typing import Literal
 
 from pydantic import BaseModel, ConfigDict
 
-from common.labels import CameraLedger, Label, Ledger, Part, RecordingSpec
+from common.labels import Label, Part
+from common.ledgers import CameraLedger, Ledger, RecordingSpec
 
 
 class Order(BaseModel):

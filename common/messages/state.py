@@ -4,7 +4,8 @@ from __future__ import annotations
 
 from typing import Literal
 
-from common.labels import Ledger, Part
+from common.labels import Part
+from common.ledgers import Ledger
 from common.messages.base import Message
 
 ServicePhase = Literal["starting", "running", "faulty", "draining", "stopped"]

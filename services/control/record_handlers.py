@@ -8,7 +8,7 @@ from typing import Any
 from common import clock
 from common.errors import RefusedError
 from common.ids import new_recording
-from common.labels import CameraLedger, Ledger, RecordingSpec
+from common.ledgers import CameraLedger, Ledger, RecordingSpec
 from common.messages import (
     Answer,
     ErrorInfo,

@@ -8,7 +8,7 @@ from __future__ import annotations
 from collections.abc import Callable, Container, Iterable
 from dataclasses import dataclass
 
-from common.labels import CameraLedger, Ledger, RecordingPhase
+from common.ledgers import CameraLedger, Ledger, RecordingPhase
 from common.messages import RecordingState
 
 REMEMBER_ENDED_NS = 60_000_000_000

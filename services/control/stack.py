@@ -11,7 +11,7 @@ from dataclasses import dataclass
 from common.bus import Endpoints
 from common.config import Rig
 from common.errors import RefusedError
-from common.labels import Ledger
+from common.ledgers import Ledger
 from common.messages import CameraState, Message, RecordingState, ServiceState, Shares
 from services.control.commands import ALL_CAMERAS
 from services.control.recordings import Recordings

@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections import Counter
 from typing import Literal
 
-from common.labels import CameraLedger
+from common.ledgers import CameraLedger
 from common.messages import CameraState, FrameRef
 from services.label.gaps import Gaps
 

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from common import clock
-from common.labels import CameraLedger, Gap
+from common.ledgers import CameraLedger, Gap
 from common.messages import CameraState, FrameRef
 
 LEAST_NS = 1_000_000_000

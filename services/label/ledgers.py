@@ -6,7 +6,7 @@ from collections.abc import Iterable, Iterator
 from dataclasses import dataclass
 
 from common import clock
-from common.labels import CameraLedger
+from common.ledgers import CameraLedger
 from common.log import get
 from common.messages import Answer, ErrorInfo, LedgerOrder
 from services.label.requests import Recording, Request

@@ -7,7 +7,7 @@ from collections.abc import Callable, Iterator
 
 from common import clock
 from common.errors import FrameLostError, RefusedError
-from common.labels import CameraLedger
+from common.ledgers import CameraLedger
 from common.log import get
 from common.messages import (
     Answer,

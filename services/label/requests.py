@@ -5,7 +5,7 @@ from __future__ import annotations
 from dataclasses import dataclass, field
 
 from common import clock
-from common.labels import Ledger, RecordingPhase, RecordingSpec
+from common.ledgers import Ledger, RecordingPhase, RecordingSpec
 from common.messages import Answer, ErrorInfo, FrameRef, RecordOrder
 from services.label.account import Account
 

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from common.bus import OrderClient
-from common.labels import Ledger
+from common.ledgers import Ledger
 from common.messages import Answer, LedgerQuery
 
 

@@ -9,7 +9,7 @@ from typing import TypeVar
 from common.bus import Return
 from common.clock import wall_ns
 from common.errors import RefusedError, TagmillError
-from common.labels import Ledger
+from common.ledgers import Ledger
 from common.messages import Answer, ErrorInfo, LedgerOrder, LedgerQuery, Order
 from services.store.background import DiskThread
 from services.store.disk import explain

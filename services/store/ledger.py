@@ -13,7 +13,8 @@ from typing import Any
 from common.clock import iso_utc
 from common.dataset.session import RecordingProgress, SessionCamera, SessionFile, StackLife
 from common.errors import RefusedError
-from common.labels import CameraLabel, CameraLedger, Ledger, RecordingSpec
+from common.labels import CameraLabel
+from common.ledgers import CameraLedger, Ledger, RecordingSpec
 from common.messages import ErrorInfo, LedgerOrder
 from services.store.records import summed
 

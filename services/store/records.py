@@ -14,7 +14,7 @@ from pydantic import ValidationError
 
 from common.dataset import RECORDS_FILE, sync_folder
 from common.errors import DatasetError
-from common.labels import CameraLedger, Ledger
+from common.ledgers import CameraLedger, Ledger
 
 
 class Records:

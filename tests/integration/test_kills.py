@@ -12,7 +12,7 @@ import pytest
 
 from common.dataset import SessionReader, read_session
 from common.frames import sweep
-from common.labels import CameraLedger
+from common.ledgers import CameraLedger
 from tests.support.hygiene import Place
 from tests.support.supervised import OBJECT, SupervisedStack, check_session, supervised, wait_for_samples
 

@@ -12,7 +12,7 @@ import pytest
 from common.bus import Publisher
 from common.dataset import SessionReader, read_session
 from common.ids import new_boot
-from common.labels import CameraLedger
+from common.ledgers import CameraLedger
 from common.messages import CameraState
 from common.topics import CAMERA
 from tests.support.samples import StoreSide, camera_label, check_whole, label_for, spec

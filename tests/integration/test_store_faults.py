@@ -14,7 +14,7 @@ import psutil
 import pytest
 
 from common.dataset import SessionReader, read_session
-from common.labels import CameraLedger
+from common.ledgers import CameraLedger
 from common.messages import ServiceState
 from tests.support.mounts import make_read_only, small_disk
 from tests.support.samples import StoreSide, check_whole, label_for, pixels, spec

@@ -14,7 +14,6 @@ from common.frames import SampleRing, segment_name
 from common.ids import new_boot, sample_name
 from common.labels import (
     CameraLabel,
-    CameraLedger,
     Corner,
     DepthLabel,
     Erased,
@@ -23,10 +22,10 @@ from common.labels import (
     ObjectLabel,
     PoseLabel,
     Quality,
-    RecordingSpec,
     SideLabel,
     Window,
 )
+from common.ledgers import CameraLedger, RecordingSpec
 from common.messages import Answer, ErrorInfo, LedgerOrder, LedgerQuery, Order, ReloadOrder, SessionOrder, StoreOrder
 
 WIDTH, HEIGHT = 64, 48

@@ -14,7 +14,8 @@ import sys
 from common import clock
 from common.bus import OrderServer, Poller, Publisher, Return
 from common.ids import sample_name
-from common.labels import CameraLabel, CameraLedger, Ledger
+from common.labels import CameraLabel
+from common.ledgers import CameraLedger, Ledger
 from common.messages import (
     Answer,
     CameraState,

@@ -13,7 +13,8 @@ from pydantic import BaseModel
 
 from common import messages
 from common.errors import CodecError
-from common.labels import LABEL_SCHEMA, CameraLedger, Ledger, RecordingSpec
+from common.labels import LABEL_SCHEMA
+from common.ledgers import CameraLedger, Ledger, RecordingSpec
 from common.messages import (
     MAX_BYTES,
     SCHEMA_VERSION,

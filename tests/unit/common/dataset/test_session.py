@@ -6,7 +6,7 @@ import pytest
 from common.dataset import SESSION_FILE, SessionCamera, SessionFile, StackLife, read_session
 from common.dataset.session import RecordingProgress
 from common.errors import DatasetError
-from common.labels import CameraLedger, Ledger
+from common.ledgers import CameraLedger, Ledger
 from tests.support.samples import camera_label, spec
 
 

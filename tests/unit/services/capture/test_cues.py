@@ -5,7 +5,7 @@ from __future__ import annotations
 import threading
 from typing import Any
 
-from common.labels import Ledger, RecordingSpec
+from common.ledgers import Ledger, RecordingSpec
 from common.messages import FrameRef, RecordingState
 from services.capture.cues import Cues
 

@@ -4,7 +4,8 @@ from __future__ import annotations
 
 from typing import Any
 
-from common.labels import CameraLabel, CameraLedger, Ledger, RecordingPhase, RecordingSpec
+from common.labels import CameraLabel
+from common.ledgers import CameraLedger, Ledger, RecordingPhase, RecordingSpec
 from common.messages import CameraState, RecordingState, ServiceState
 
 SECOND = 1_000_000_000

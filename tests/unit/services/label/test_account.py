@@ -5,7 +5,8 @@ from __future__ import annotations
 from hypothesis import given
 from hypothesis import strategies as st
 
-from common.labels import CameraLabel, CameraLedger
+from common.labels import CameraLabel
+from common.ledgers import CameraLedger
 from common.messages import CameraState, FrameRef
 from services.label.account import Account
 

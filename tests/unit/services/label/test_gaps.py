@@ -4,7 +4,8 @@ from __future__ import annotations
 
 import pytest
 
-from common.labels import CameraLabel, CameraLedger
+from common.labels import CameraLabel
+from common.ledgers import CameraLedger
 from common.messages import CameraState, FrameRef
 from common.messages.frames import CameraPhase
 from services.label.account import Account

@@ -12,7 +12,7 @@ import pytest
 from common import clock
 from common.errors import FrameLostError, RefusedError
 from common.geometry import Pose
-from common.labels import RecordingSpec
+from common.ledgers import RecordingSpec
 from common.messages import Answer, Detections, ErrorInfo, FrameRef, RecordOrder, StartOrder
 from services.label.recorder import Recorder
 from services.label.samples import Outcome, Taker

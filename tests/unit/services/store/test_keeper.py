@@ -11,7 +11,7 @@ from common import log
 from common.bus import Poller
 from common.config import load_rig
 from common.dataset import StackLife, read_session
-from common.labels import CameraLedger
+from common.ledgers import CameraLedger
 from common.messages import ErrorInfo, LedgerOrder
 from services.store import keeper as keeper_module
 from services.store.background import Completions, DiskThread

@@ -5,7 +5,7 @@ import pytest
 
 from common.dataset import SessionCamera, SessionFile, StackLife
 from common.errors import RefusedError
-from common.labels import CameraLedger, Ledger
+from common.ledgers import CameraLedger, Ledger
 from common.messages import LedgerOrder
 from services.store.ledger import Book
 from services.store.life import stack_life

@@ -7,7 +7,7 @@ import pytest
 from common.config import load_rig
 from common.dataset import RECORDS_FILE, SESSION_FILE, SessionFile, read_session, write_bytes
 from common.errors import DatasetError
-from common.labels import CameraLedger, Ledger
+from common.ledgers import CameraLedger, Ledger
 from services.store.life import stack_life
 from services.store.records import Records
 from services.store.sessions import Wanted, open_session

@@ -5,7 +5,7 @@ import pytest
 from common.config import load_rig
 from common.dataset import StackLife, read_session, write_bytes
 from common.errors import DatasetError, RefusedError
-from common.labels import CameraLedger
+from common.ledgers import CameraLedger
 from common.messages import LedgerOrder
 from services.store.sessions import OpenSession, SessionDiffersError, Wanted, open_session
 from tests.support.mounts import make_read_only, small_disk

@@ -1,0 +1,72 @@
+"""The ledger: what became of every frame of a recording. Same types on the bus and in ``session.json``."""
+
+from __future__ import annotations
+
+from typing import Annotated, Literal
+
+from pydantic import Field
+
+from common.labels import Part
+
+
+class Gap(Part):
+    """A time in which a camera gave no picture: from its last one before to its first one after (ISO UTC).
+
+    ``to`` and ``seconds`` are None while it lasts. ``reason`` is the camera's own last error, if it told one.
+    """
+
+    since: Annotated[str, Field(alias="from")]
+    to: str | None = None
+    seconds: float | None = None
+    reason: str
+    since_wall_ns: int
+
+
+class CameraLedger(Part):
+    """One camera's account in a recording: captured = recorded + refused + dropped once it is settled.
+
+    ``gaps``: when the camera gave nothing, the first hundred; ``gaps_unlisted`` counts further ones.
+    """
+
+    captured: int = 0
+    detected: dict[str, int] = {}
+    labelled: int = 0
+    recorded: int = 0
+    refused: dict[str, int] = {}
+    dropped: dict[str, int] = {}
+    pending: int = 0
+    last_count: int = 0
+    boot: str = ""
+    gaps: tuple[Gap, ...] = ()
+    gaps_unlisted: int = 0
+
+    @property
+    def settled(self) -> bool:
+        """Whether every captured frame is accounted for."""
+        return self.captured == self.recorded + sum(self.refused.values()) + sum(self.dropped.values())
+
+
+RecordingMode = Literal["record", "all", "auto"]
+RecordingPhase = Literal["running", "finishing", "ended", "interrupted"]
+
+
+class RecordingSpec(Part):
+    """What was asked for."""
+
+    recording: str
+    mode: RecordingMode
+    cameras: tuple[str, ...]
+    every_s: float = 0.0
+    until_count: int | None = None
+    background: bool = False
+    started_at: str
+
+
+class Ledger(Part):
+    """The account of one recording, by camera."""
+
+    spec: RecordingSpec
+    phase: RecordingPhase
+    ended_at: str | None = None
+    why: str | None = None
+    cameras: dict[str, CameraLedger]
