@@ -34,6 +34,7 @@ from services.label.visibility import faces_camera
 from services.label.visible_objects import (
     SeenMarker,
     VisibleObject,
+    doubted,
     left_out,
     not_detected,
     sort_markers,
@@ -232,7 +233,7 @@ class Labeller:
         def better(marker: SeenMarker) -> SeenMarker:
             found = refine(grey, marker.seen, self._family, camera)
             if not found.converged:
-                return marker
+                return marker if found.doubt_px is None else doubted(marker, found.doubt_px)
             exact = DetectedMarker(id=marker.seen.id, corners=found.corners, kind=found.kind)
             return replace(marker, seen=exact, covariance=found.covariance)
 

@@ -24,6 +24,8 @@ from common.labels import Quad
 from common.markers import Family
 from common.messages import DetectedMarker
 from services.label.edge_pattern import Pattern, pattern_of
+from services.label.lens import Lens
+from services.label.visible_objects import side_length
 
 Array = NDArray[np.float64]
 Picture = NDArray[np.uint8]
@@ -32,16 +34,25 @@ KIND = "photometric"
 MAX_ITERATIONS = 14
 FIRST_SIGMA_PX = 1.4
 """Wide at first, so that corners that are off by two pixels still feel their edge."""
+FIRST_SIGMA_CELLS, LEAST_FIRST_SIGMA_PX = 0.4, 0.6
+"""But no wider than such a share of a cell: a blur that leaves nothing of a small marker's pattern leads nowhere."""
 SETTLED_PX = 0.15
 """Once the corners move less than this, blur and tone are fitted too."""
+ROUGH_ITERATIONS = 5
+"""... or after so many steps: with too wide a blur a narrow marker's corners never come to rest."""
 DONE_PX = 0.02
 LARGEST_STEP_PX = 1.5
 MIN_CELL_PX = 1.4
 MIN_CONTRAST = 12.0
-MAX_RESIDUAL = 0.25
+MAX_RESIDUAL, MAX_SMALL_RESIDUAL, SMALL_CELL_PX = 0.18, 0.25, 2.5
+"""A shadow's edge or a hand leaves more; markers of small cells do by themselves."""
 MAX_SHIFT = 0.08
 """Of the marker's side. Half a cell of the usual families is 0.06: further, and the pattern sits one cell off."""
 MIN_SHIFT_LIMIT_PX = 2.5
+MAX_FEW_SHIFT = 0.25
+"""The same for two of the corners, if the other two stay: a finger over a corner leads a detector's lines astray."""
+MORE_ITERATIONS = 14
+"""... for corners that are still on their way after ``MAX_ITERATIONS``."""
 MIN_SEEN = 0.7
 """The share of the sample points that must lie inside the picture."""
 ACROSS_PX = np.arange(-3.0, 3.5)
@@ -65,7 +76,8 @@ class Refined:
 
     ``shift_px`` is the furthest that a corner moved, ``residual`` the rms of picture minus model as a share of
     the contrast. Where not ``converged``, corners and kind are the coarse ones, and there is no ``covariance``:
-    (8, 8) px^2 of the corners' x y x y ..., from the residual and the fit's information.
+    (8, 8) px^2 of the corners' x y x y ..., from the residual and the fit's information. ``doubt_px`` then says how
+    far from each corner the attempt ended; None where the marker is too small or too cut off for one.
     """
 
     corners: Quad
@@ -74,32 +86,33 @@ class Refined:
     residual: float
     converged: bool
     covariance: Array | None = field(default=None, compare=False)
+    doubt_px: tuple[float, ...] | None = None
 
 
 def refine(picture: Picture, marker: DetectedMarker, family: Family, camera: CameraModel | None = None) -> Refined:
     """Refine a marker's corners in a picture, (H, W) grey or (H, W, 3) BGR, uint8.
 
     ``camera`` gives the lens distortion, which bends a large marker's edges; None = straight edges. Corners are
-    refused (the coarse ones come back) where the fit doesn't settle, explains the picture badly, or moves a
-    corner further than ``MAX_SHIFT`` of the side. Raises ValueError for an id that isn't in the family.
+    refused (the coarse ones come back) where the fit doesn't settle, explains the picture badly, or moves
+    corners too far. Raises ValueError for an id that isn't in the family.
     """
     coarse = np.array(marker.corners, dtype=np.float64)
     pattern = pattern_of(family.bitmap(marker.id))
-    lens = _Lens(camera)
+    lens = Lens(camera)
     fit = _Fit.of(picture, pattern, coarse, lens)
-    if fit is None or not fit.run():
+    if fit is None:
         return Refined(marker.corners, marker.kind, 0.0, float("inf"), converged=False)
+    settled = fit.run()
+    side = side_length(coarse)
+    limit = MAX_RESIDUAL if side > SMALL_CELL_PX * pattern.cells else MAX_SMALL_RESIDUAL
     corners = lens.distort(fit.corners)
-    shift = float(np.linalg.norm(corners - coarse, axis=1).max())
-    trusted = fit.contrast >= MIN_CONTRAST and fit.residual <= MAX_RESIDUAL and shift <= _shift_limit(coarse)
-    if not trusted:
-        return Refined(marker.corners, marker.kind, shift, fit.residual, converged=False)
-    return Refined(_quad(corners), KIND, shift, fit.residual, converged=True, covariance=fit.covariance())
-
-
-def _shift_limit(coarse: Array) -> float:
-    side = float(np.linalg.norm(coarse - np.roll(coarse, 1, axis=0), axis=1).mean())
-    return max(MIN_SHIFT_LIMIT_PX, MAX_SHIFT * side)
+    shifts = np.linalg.norm(corners - coarse, axis=1)
+    furthest = float(shifts.max())
+    explained = settled and fit.contrast >= MIN_CONTRAST and fit.residual <= limit
+    if not explained or not _near(shifts, side):
+        doubt = tuple(np.fmin(np.where(np.isfinite(shifts), shifts, side), side).tolist())
+        return Refined(marker.corners, marker.kind, furthest, fit.residual, converged=False, doubt_px=doubt)
+    return Refined(_quad(corners), KIND, furthest, fit.residual, converged=True, covariance=fit.covariance())
 
 
 def _quad(corners: Array) -> Quad:
@@ -107,25 +120,10 @@ def _quad(corners: Array) -> Quad:
     return top_left, top_right, bottom_right, bottom_left
 
 
-class _Lens:
-    """Pixels of the picture to pixels of the same camera without distortion, and back."""
-
-    def __init__(self, camera: CameraModel | None) -> None:
-        self._camera = camera if camera is not None and camera.distortion.any() else None
-
-    def undistort(self, pixels: Array) -> Array:
-        if self._camera is None:
-            return pixels
-        matrix = self._camera.matrix
-        return self._camera.normalise(pixels) @ matrix[:2, :2].T + matrix[:2, 2]
-
-    def distort(self, pixels: Array) -> Array:
-        if self._camera is None:
-            return pixels
-        flat = np.linalg.solve(self._camera.matrix[:2, :2], (pixels - self._camera.matrix[:2, 2]).T).T
-        # Any depth does: a projection doesn't depend on it.
-        projected, _ = self._camera.project(np.column_stack([flat, np.ones(len(flat))]) * 1000.0)
-        return projected
+def _near(shifts: Array, side: float) -> bool:
+    """Whether corners moved (4,) px as far as a detector's may be off, and not by a cell of the pattern."""
+    limit = max(MIN_SHIFT_LIMIT_PX, MAX_SHIFT * side)
+    return bool(np.sort(shifts)[1] <= limit and shifts.max() <= max(limit, MAX_FEW_SHIFT * side))
 
 
 def _apply(homography: Array, points: Array) -> Array:
@@ -140,7 +138,7 @@ class _Fit:
     Unknowns: 8 of G, 3 + 3 of black and contrast (constant, along u, along v), log sigma, tone.
     """
 
-    def __init__(self, pattern: Pattern, grey: Array, where: Array, start: Array) -> None:
+    def __init__(self, pattern: Pattern, grey: Array, where: Array, start: Array, cell_px: float) -> None:
         self._pattern = pattern
         self._grey = grey
         self._centre = start.mean(axis=0)
@@ -154,7 +152,7 @@ class _Fit:
         self._g /= self._g[2, 2]
         low, high = np.percentile(grey, [10, 90])
         self._light = np.array([low, 0.0, 0.0, high - low, 0.0, 0.0])
-        self._sigma = FIRST_SIGMA_PX
+        self._sigma = float(np.clip(FIRST_SIGMA_CELLS * cell_px, LEAST_FIRST_SIGMA_PX, FIRST_SIGMA_PX))
         self._tone = 0.0
         self._coarsely = min(max(len(grey) // COARSE_PIXELS, 1), 4)
         self.residual = float("inf")
@@ -162,7 +160,7 @@ class _Fit:
         self._variance = float("inf")
 
     @classmethod
-    def of(cls, picture: Picture, pattern: Pattern, coarse: Array, lens: _Lens) -> _Fit | None:
+    def of(cls, picture: Picture, pattern: Pattern, coarse: Array, lens: Lens) -> _Fit | None:
         """The problem for a marker in a picture; None where too little of it can be seen."""
         sides = np.linalg.norm(coarse - np.roll(coarse, -1, axis=0), axis=1) / pattern.cells
         if not np.isfinite(coarse).all() or sides.min() < MIN_CELL_PX:
@@ -186,7 +184,7 @@ class _Fit:
         start = lens.undistort(coarse)
         if not (np.isfinite(where).all() and np.isfinite(start).all()):
             return None
-        return cls(pattern, grey, where, start)
+        return cls(pattern, grey, where, start, min(cell_u, cell_v))
 
     @property
     def corners(self) -> Array:
@@ -213,8 +211,10 @@ class _Fit:
     def run(self) -> bool:
         """Iterate; whether the corners settled."""
         everything = False
-        before = self.corners
-        for _ in range(MAX_ITERATIONS):
+        start = before = self.corners
+        for iteration in range(MAX_ITERATIONS + MORE_ITERATIONS):
+            if iteration >= MAX_ITERATIONS and np.abs(before - start).max() < MIN_SHIFT_LIMIT_PX:
+                return False
             if not self._step(everything):
                 return False
             after = self.corners
@@ -222,7 +222,7 @@ class _Fit:
             before = after
             if everything and moved < DONE_PX:
                 return True
-            everything = everything or moved < SETTLED_PX
+            everything = everything or moved < SETTLED_PX or iteration >= ROUGH_ITERATIONS
         return False
 
     def _step(self, everything: bool) -> bool:

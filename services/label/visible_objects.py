@@ -7,7 +7,7 @@ Unknown ids are kept apart, several sides of one object are joined, several obje
 from __future__ import annotations
 
 from collections.abc import Iterable, Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 
 import numpy as np
 from numpy.typing import NDArray
@@ -89,6 +89,15 @@ def sort_markers(detected: Iterable[DetectedMarker], boxes: Sequence[Box]) -> So
         objects.append(VisibleObject(box, single, tuple(group for group in found if len(group) > 1)))
     unknown = tuple(seen for id_, group in places.items() if id_ not in known for seen in group)
     return Sorted(tuple(objects), unknown, tuple(unseen))
+
+
+def doubted(marker: SeenMarker, doubt_px: Sequence[float]) -> SeenMarker:
+    """The marker with corners that may be off by ``doubt_px`` (4,), one sigma, beside what their kind promises.
+
+    Where the picture doesn't bear out what the detector says: a covered corner, heavy blur, a shadow.
+    """
+    variance = np.repeat(np.hypot(marker.noise_px, np.asarray(doubt_px) / np.sqrt(2)) ** 2, 2)
+    return replace(marker, covariance=np.diag(variance))
 
 
 def left_out(marker: SeenMarker, reason: str, box: Box) -> LeftOut:

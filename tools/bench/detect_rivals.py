@@ -15,6 +15,7 @@ from common.errors import ConfigError
 from common.markers import Family
 from services.detect.markers import MarkerDetector, open_detector
 from services.detect.markers.apriltag import AprilTagDetector
+from services.detect.markers.pattern import FAST, THOROUGH, PatternDetector
 
 Grey = NDArray[np.uint8]
 Found = list[tuple[int, NDArray[np.float64]]]
@@ -22,6 +23,8 @@ Search = Callable[[Grey, Family], Found | None]
 """Ids and own corners (4, 2) px; None for a family that isn't its own."""
 
 OURS = "tagmill auto"
+ONE_LOOK, FOUR_LOOKS = "tagmill one look", "tagmill four looks"
+"""Points of the trade-off between time and recall; `auto` looks twice, `thorough` six times."""
 YARDSTICK, TARGET = "AprilTag 3 decimate 1", "AprilTag 3 decimate 2"
 
 
@@ -29,6 +32,8 @@ def contenders() -> tuple[dict[str, Search], list[str]]:
     """Name to search, ours first, and the names of those that aren't installed."""
     table: dict[str, Search] = {
         OURS: _opened("auto"),
+        ONE_LOOK: _by_family(lambda family: PatternDetector(family, FAST[:1])),
+        FOUR_LOOKS: _by_family(lambda family: PatternDetector(family, (*FAST, *THOROUGH[3:5]))),
         "tagmill thorough": _opened("auto", thorough=True),
         "tagmill opencv": _opened("opencv"),
         "cv2 defaults": _cv2(cv2.aruco.CORNER_REFINE_NONE, 0.0),
@@ -38,7 +43,7 @@ def contenders() -> tuple[dict[str, Search], list[str]]:
     }
     absent = []
     if find_spec("pupil_apriltags") is not None:
-        table |= {YARDSTICK: _apriltag(1.0), TARGET: _apriltag(2.0)}
+        table |= {YARDSTICK: _apriltag(1.0), "AprilTag 3 decimate 1.5": _apriltag(1.5), TARGET: _apriltag(2.0)}
     else:
         absent.append("AprilTag 3 (pip install 'tagmill[apriltag]')")
     if find_spec("locus") is not None:

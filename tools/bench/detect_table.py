@@ -22,12 +22,13 @@ FILE_WIDTH = 220
 
 
 def show(scores: Scores, tracked: list[Tracked], absent: list[str], missing: list[str]) -> None:
-    """Three tables: what is found, what it costs, tracking."""
-    console = Console(highlight=False)
+    """Four tables: what is found, what it costs, one against the other, tracking."""
+    console = Console(highlight=False, markup=False)
     if not console.is_terminal:
-        console = Console(highlight=False, width=FILE_WIDTH)
+        console = Console(highlight=False, markup=False, width=FILE_WIDTH)
     console.print(_recall(scores))
     console.print(_price(scores))
+    console.print(_trade_off(scores))
     console.print(_tracking(tracked))
     for what, names in (("not installed", absent), ("not there", missing)):
         if names:
@@ -41,6 +42,7 @@ def as_plain(scores: Scores, tracked: list[Tracked], absent: list[str], missing:
         "not_installed": absent,
         "missing": missing,
         "detectors": {name: {row: _plain(score) for row, score in rows.items()} for name, rows in scores.items()},
+        "trade_off": trade_off(scores),
         "ratios_to_apriltag_2": {name: _ratios(scores, name) for name in scores},
         "tracking": [
             {"name": t.name, "frames": t.frames, "searches": t.searches, "other_ids": t.other_ids, "ratio": t.ratio}
@@ -111,6 +113,50 @@ def _ratios(scores: Scores, name: str) -> dict[str, float]:
         for row, score in scores[name].items()
         if score.times_ms and row in targets and len(targets[row].times_ms) == len(score.times_ms)
     }
+
+
+def trade_off(scores: Scores) -> list[dict[str, Any]]:
+    """Each detector as a point: its share of the markers of three sorts of pictures, and its price on them.
+
+    Only rows that the default has are counted. A price is the median ratio to `TARGET`; None where that is absent.
+    """
+    kinds = {
+        REFERENCE: [REFERENCE],
+        "difficult": [row for row, score in scores[OURS].items() if score.errors_px and row != REFERENCE],
+        "photographs": [row for row, score in scores[OURS].items() if score.markers and not score.errors_px],
+    }
+    points = []
+    for name, rows in scores.items():
+        if not all(row in rows for row in kinds["difficult"]):
+            continue
+        point: dict[str, Any] = {"detector": name, "default": name == OURS}
+        ratios = _ratios(scores, name)
+        for kind, wanted in kinds.items():
+            # Photographs of families that the yardstick doesn't know can't be compared.
+            seen = [row for row in wanted if row in rows and (kind == "difficult" or row in scores.get(TARGET, rows))]
+            markers = sum(rows[row].markers for row in seen)
+            point[kind] = sum(rows[row].found for row in seen) / markers if markers else None
+        priced = [row for row in (*kinds[REFERENCE], *kinds["photographs"]) if row in ratios]
+        points.append(point | {"ratios": {row: ratios[row] for row in priced}})
+    return points
+
+
+def _trade_off(scores: Scores) -> Table:
+    table = Table(title="Trade-off: markers found, and time as a share of AprilTag 3 decimate 2's; * is the default")
+    points = trade_off(scores)
+    table.add_column("detector")
+    for heading in (REFERENCE, "difficult", "photographs"):
+        table.add_column(f"found, {heading}", justify="right")
+    rows = list(dict.fromkeys(row for point in points for row in point["ratios"]))
+    for row in rows:
+        table.add_column(f"time, {row}", justify="right")
+    for point in points:
+        shares = (
+            "-" if point[k] is None else f"{100 * point[k]:.1f} %" for k in (REFERENCE, "difficult", "photographs")
+        )
+        prices = (f"{point['ratios'][row]:.2f}" if row in point["ratios"] else "-" for row in rows)
+        table.add_row(point["detector"] + (" *" if point["default"] else ""), *shares, *prices)
+    return table
 
 
 def _tracking(tracked: list[Tracked]) -> Table:

@@ -10,6 +10,7 @@ from tools.sub_commands import run_name as run
 __all__ = ["EVALUATIONS", "add_parser", "run"]
 
 EVALUATIONS = {
+    "detect": "tools.evaluate.detect",
     "distance": "tools.evaluate.distance",
     "inpaint": "tools.evaluate.inpaint",
     "pose": "tools.evaluate.pose",

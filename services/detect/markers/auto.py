@@ -8,7 +8,7 @@ from common.markers import Family
 from common.messages import DetectedMarker
 from services.detect.markers.base import Grey, MarkerDetector
 from services.detect.markers.opencv import OpenCvDetector
-from services.detect.markers.pattern import PatternDetector
+from services.detect.markers.pattern import FAST, THOROUGH, PatternDetector
 
 LEAST_BITS = 4
 """Correlation can't tell fewer bits a side from chance; cv2, which asks for every bit, can."""
@@ -19,7 +19,8 @@ class AutoDetector:
 
     def __init__(self, family: Family, *, thorough: bool = False) -> None:
         self.family = family
-        self._own = PatternDetector(family, thorough=thorough) if family.bits >= LEAST_BITS else None
+        levels = THOROUGH if thorough else FAST
+        self._own = PatternDetector(family, levels) if family.bits >= LEAST_BITS else None
         self._chosen: MarkerDetector = self._own or OpenCvDetector(family, thorough=thorough)
 
     def detect(self, grey: Grey) -> list[DetectedMarker]:

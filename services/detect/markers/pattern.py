@@ -21,8 +21,9 @@ Array = NDArray[np.float64]
 Indices = NDArray[np.intp]
 
 KIND = "edges"
-FAST = (Level(1, 0.5), Level(0.5, 0.25))
-"""Whole pixels for the small; halved, with a low threshold, for the large, the blurred and the half shaded."""
+FAST = (Level(1, 0.5, 100), Level(0.5, 0.25, 50))
+"""Whole pixels for the small, where a busy picture's markers must stand out; halved, with a low threshold and little
+contrast, for the large, the blurred and the half shaded."""
 THOROUGH = (Level(2, 0.5), *FAST, Level(1, 0.25), Level(0.5, 0.5), Level(0.25, 0.35))
 DOUBLED_MAX_PIXELS = 4_000_000
 """A larger picture isn't doubled: its small markers have pixels enough."""
@@ -40,11 +41,11 @@ ALIKE_SHIFT, ALIKE_SIZE = 0.08, 0.15
 
 
 class PatternDetector:
-    """Markers of one family. ``thorough`` looks at the picture at more scales and thresholds."""
+    """Markers of one family. More ``levels`` (scales and thresholds) find more and take longer."""
 
-    def __init__(self, family: Family, *, thorough: bool = False) -> None:
+    def __init__(self, family: Family, levels: Sequence[Level] = FAST) -> None:
         self.family = family
-        self._levels = THOROUGH if thorough else FAST
+        self._levels = levels
         self._book = CodeBook(family)
         self._reader = Reader(family.cells)
 

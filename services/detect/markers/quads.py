@@ -23,16 +23,18 @@ def check(grey: Grey) -> None:
 
 def merged(found: list[tuple[int, Corners]]) -> list[tuple[int, Corners]]:
     """Each physical marker once: of two quads that cover the same paper the earlier stays."""
-    kept: list[tuple[int, Corners]] = []
-    places: list[tuple[float, float, float]] = []
-    for marker, corners in found:
-        x, y = corners.mean(axis=0).tolist()
-        reach = float(np.abs(corners - (x, y)).max())
-        near = (k for k, (u, v, r) in enumerate(places) if max(abs(u - x), abs(v - y)) < max(r, reach))
-        if not any(same_place(corners, kept[k][1]) for k in near):
-            kept.append((marker, corners))
-            places.append((x, y, reach))
-    return kept
+    if len(found) < 2:
+        return found
+    quads = np.array([corners for _, corners in found])
+    middles = quads.mean(axis=1)
+    reach = np.abs(quads - middles[:, None]).max(axis=(1, 2))
+    apart = np.abs(middles[:, None] - middles).max(axis=2)
+    near = apart < np.maximum(reach[:, None], reach)
+    kept: list[int] = []
+    for one in range(len(found)):
+        if not any(same_place(quads[one], quads[other]) for other in kept if near[one, other]):
+            kept.append(one)
+    return [found[one] for one in kept]
 
 
 def same_place(one: Corners, other: Corners) -> bool:

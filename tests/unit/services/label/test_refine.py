@@ -116,6 +116,54 @@ def test_a_finger_over_a_part_does_not_pull_the_corners() -> None:
     assert np.abs(np.array(refined.corners) - seen.corners).max() < 0.15
 
 
+def corner_under_a_thumb(seen: Seen, corner: int, inwards: float, radius: int) -> np.ndarray:
+    at = seen.corners[corner] + inwards * (seen.corners.mean(axis=0) - seen.corners[corner])
+    return cv2.circle(seen.grey.copy(), (round(at[0]), round(at[1])), radius, 150, -1)
+
+
+def test_a_covered_corner_is_found_where_the_rest_of_the_pattern_puts_it() -> None:
+    """A thumb bends the lines that a detector draws along two sides: its corner is off by pixels, two others stay."""
+    rng = np.random.default_rng(21)
+    for corner in range(4):
+        seen = render(drawing("DICT_APRILTAG_36h11", 4), 50, looking_at(rng, 600, 30), rng)
+        led_astray = seen.corners.copy()
+        led_astray[corner] += 0.08 * (seen.corners.mean(axis=0) - seen.corners[corner]) * [1.6, 0.8]
+        led_astray[corner - 1] += [0.7, -0.6]
+        marker = DetectedMarker(id=4, corners=tuple(map(tuple, led_astray.tolist())), kind="edges")
+        refined = refine(corner_under_a_thumb(seen, corner, 0.05, 9), marker, TAG)
+        assert refined.converged
+        off = np.linalg.norm(np.array(refined.corners) - seen.corners, axis=1)
+        assert off.max() < 0.15
+        assert refined.shift_px > 1.0
+
+
+def test_corners_that_the_picture_does_not_bear_out_are_doubted() -> None:
+    rng = np.random.default_rng(22)
+    seen = render(drawing("DICT_APRILTAG_36h11", 4), 50, looking_at(rng, 400, 30), rng)
+    led_astray = seen.corners + np.array([[0, 0], [0, 0], [14.0, 11.0], [0, 0]])
+    marker = DetectedMarker(id=4, corners=tuple(map(tuple, led_astray.tolist())), kind="edges")
+    refined = refine(corner_under_a_thumb(seen, 2, 0.4, 40), marker, TAG)
+    assert refused(refined, marker)
+    assert refined.doubt_px is not None
+    assert refined.doubt_px[2] > 5.0
+
+
+@pytest.mark.parametrize("side_px", [12.0, 14.0, 18.0])
+def test_small_markers_are_refined_as_well(side_px: float) -> None:
+    distance = 50 * MATRIX[0, 0] / side_px
+    rng = np.random.default_rng(int(side_px))
+    better, converged = [], 0
+    for marker in range(12):
+        seen = render(drawing("DICT_APRILTAG_36h11", marker), 50, looking_at(rng, distance, 20), rng)
+        found = coarse(seen, marker, rng, 0.25)
+        refined = refine(seen.grey, found, TAG)
+        converged += refined.converged
+        off = [np.linalg.norm(np.array(corners) - seen.corners, axis=1) for corners in (found.corners, refined.corners)]
+        better.append(off[0].mean() - off[1].mean())
+    assert converged >= 8
+    assert np.mean(better) > 0.05
+
+
 def refused(refined: Refined, marker: DetectedMarker) -> bool:
     return not refined.converged and refined.corners == marker.corners and refined.kind == marker.kind
 

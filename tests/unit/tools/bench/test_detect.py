@@ -13,7 +13,8 @@ import pytest
 from common.markers import family
 from tools.bench import detect, marker_scenes
 from tools.bench.detect_cases import EMPTY, REFERENCE, SEARCHED, Case, TrueMarker
-from tools.bench.detect_rivals import OURS, contenders
+from tools.bench.detect_rivals import OURS, TARGET, contenders
+from tools.bench.detect_table import trade_off
 
 FAMILY = family(SEARCHED, Path())
 SQUARE = np.array([[10.0, 10.0], [50.0, 10.0], [50.0, 50.0], [10.0, 50.0]])
@@ -83,3 +84,27 @@ def test_a_short_run_is_measured_and_written_as_json(
         else:
             assert "3/3" in text
             assert "0 in 1" in text
+
+
+def test_the_trade_off_has_a_point_for_each_detector_that_sees_all_difficulties() -> None:
+    def score(found: int, ms: float) -> detect.Score:
+        return detect.Score(pictures=1, markers=4, found=found, errors_px=[0.1] * found, times_ms=[[ms, ms]])
+
+    def photos(found: int, ms: float) -> detect.Score:
+        return detect.Score(pictures=1, markers=4, found=found, times_ms=[[ms, ms]])
+
+    scores = {
+        OURS: {REFERENCE: score(4, 1.0), "tilt": score(3, 1.0), "photos": photos(4, 3.0)},
+        TARGET: {REFERENCE: score(2, 2.0), "tilt": score(1, 2.0), "photos": photos(3, 2.0)},
+        detect.REFINED: {REFERENCE: score(4, 1.0)},
+    }
+    ours, target = trade_off(scores)
+    assert ours == {
+        "detector": OURS,
+        "default": True,
+        REFERENCE: 1.0,
+        "difficult": 0.75,
+        "photographs": 1.0,
+        "ratios": {REFERENCE: 0.5, "photos": 1.5},
+    }
+    assert (target["default"], target["difficult"], target["ratios"]["photos"]) == (False, 0.25, 1.0)
