@@ -25,6 +25,8 @@ from services.capture.cameras.stream_address import why_not
 USUAL_FPS = 25.0
 SOONEST_LOSS = 0.9
 """A read that took this share of the timeout has timed out, whatever OpenCV says of it."""
+NEEDED = 2
+"""So many pictures show whether their times run: some senders give none, and FFmpeg then 0 for each."""
 CLOSE_S = 1.0
 _OPTIONS = "OPENCV_FFMPEG_CAPTURE_OPTIONS"
 _STAMPED = ("rtsp", "rtsps", "udp", "rtp")
@@ -108,7 +110,7 @@ class StreamCamera:
     def _read_on(self, capture: cv2.VideoCapture) -> None:
         """The reading thread; the capture is its own from here on."""
         try:
-            number = 0
+            number, before_ns = 0, 0
             while not self._closed:
                 began = clock.monotonic_ns()
                 found, bgr = capture.read()
@@ -120,10 +122,13 @@ class StreamCamera:
                     self._tell(f"{self._shown} has ended or was cut off; does its server still run?")
                     return
                 number += 1
-                stamp_ns = int(capture.get(cv2.CAP_PROP_POS_MSEC) * 1e6) if self._stamped else None
+                stamp_ns = int(capture.get(cv2.CAP_PROP_POS_MSEC) * 1e6)
+                if number == NEEDED:
+                    self._stamped &= stamp_ns > before_ns
+                before_ns = stamp_ns
                 picture = np.ascontiguousarray(bgr, dtype=np.uint8)
                 with self._news:
-                    self._newest = _Picture(picture, stamp_ns, number)
+                    self._newest = _Picture(picture, stamp_ns if self._stamped else None, number)
                     self._news.notify_all()
         except cv2.error as error:
             self._tell(f"{self._shown} can't be decoded ({error.err})")
@@ -141,9 +146,11 @@ class StreamCamera:
         return newest if newest is not None and newest.number > self._given else None
 
     def _first_picture(self) -> _Picture:
+        def enough() -> bool:
+            return self._lost is not None or (self._newest is not None and self._newest.number >= NEEDED)
+
         with self._news:
-            self._news.wait_for(lambda: self._lost is not None or self._newest is not None, self._options.timeout_s)
-            if self._newest is None:
+            if not self._news.wait_for(enough, self._options.timeout_s) or self._newest is None:
                 raise CameraError(self._lost or f"{self._shown} opens but gives no picture; check it with a player")
             # What came while this camera was opened was nobody's yet.
             self._given = self._newest.number - 1

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import ctypes
 import functools
-import hashlib
 import mmap
 import os
 import struct
@@ -149,21 +148,18 @@ def state_of(path: Path) -> State:
 
 
 @functools.cache
+def _workshop() -> tempfile.TemporaryDirectory[str]:
+    """A folder of our own for the library: nobody else can put one there. Gone when this process ends."""
+    return tempfile.TemporaryDirectory(prefix="tagmill-v4l2-")
+
+
+@functools.cache
 def library() -> Path:
-    """device.c, compiled; made once for all test runs of a user."""
-    name = hashlib.sha256(SOURCE.read_bytes()).hexdigest()[:16]
-    made = Path(tempfile.gettempdir()) / f"tagmill-v4l2-{os.getuid()}-{name}.so"
-    if not made.exists():
-        part = made.with_suffix(f".{os.getpid()}")
-        flags = ["-std=gnu11", "-O2", "-Wall", "-Wextra", "-Werror", "-shared", "-fPIC"]
-        compiler = os.environ.get("CC") or "gcc"
-        subprocess.run(
-            [compiler, *flags, str(SOURCE), "-o", str(part), "-ldl", "-lpthread"],
-            check=True,
-            timeout=60,
-            env={**os.environ, "LC_ALL": "C"},
-        )
-        part.replace(made)
+    """device.c, compiled."""
+    made = Path(_workshop().name) / "device.so"
+    flags = ["-std=gnu11", "-O2", "-Wall", "-Wextra", "-Werror", "-shared", "-fPIC"]
+    command = [os.environ.get("CC") or "gcc", *flags, str(SOURCE), "-o", str(made), "-ldl", "-lpthread"]
+    subprocess.run(command, check=True, timeout=60)
     return made
 
 
