@@ -40,10 +40,25 @@ def is_sample_name(text: str) -> bool:
 
 def sample_camera(name: str) -> str:
     """The camera in a sample's name; raises ValueError if it is none."""
+    return _parts(name)["camera"]
+
+
+def sample_frame(name: str) -> int:
+    """The frame number in a sample's name; raises ValueError if it is none."""
+    return int(_parts(name)["frame"])
+
+
+def sample_captured_at(name: str) -> str:
+    """The capture time in a sample's name as ISO 8601 UTC; raises ValueError if it is none."""
+    day, time, ms = _parts(name).group("day", "time", "ms")
+    return f"{day[:4]}-{day[4:6]}-{day[6:]}T{time[:2]}:{time[2:4]}:{time[4:]}.{ms}Z"
+
+
+def _parts(name: str) -> re.Match[str]:
     match = _SAMPLE.fullmatch(name)
     if match is None:
         raise ValueError(f"'{name}' is not a sample name")
-    return match["camera"]
+    return match
 
 
 def _compact(wall: int) -> str:

@@ -25,6 +25,7 @@ class Gap(Part):
 class CameraLedger(Part):
     """One camera's account in a recording: captured = recorded + refused + dropped once it is settled.
 
+    ``deleted``: how many of the ``recorded`` are in the bin, or were removed from it for good.
     ``gaps``: when the camera gave nothing, the first hundred; ``gaps_unlisted`` counts further ones.
     """
 
@@ -35,6 +36,7 @@ class CameraLedger(Part):
     refused: dict[str, int] = {}
     dropped: dict[str, int] = {}
     pending: int = 0
+    deleted: int = 0
     last_count: int = 0
     boot: str = ""
     gaps: tuple[Gap, ...] = ()

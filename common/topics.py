@@ -13,6 +13,7 @@ from common.messages import (
     Message,
     Preview,
     RecordingState,
+    SamplesChanged,
     ServiceState,
     Shares,
     Truth,
@@ -61,10 +62,11 @@ DETECTIONS = Topic(
 LABELS = Topic("labels", ("camera",), Labels, "label", None, "every", "objects with pose, corners, window, distance")
 PREVIEW = Topic("preview", ("camera",), Preview, "label", None, "latest", "an inpainted picture, while one watches")
 RECORDING = Topic("recording", ("camera", "recording"), RecordingState, "label", 1.0, "latest", "a recording's account")
+SAMPLES = Topic("samples", (), SamplesChanged, "store", None, "every", "samples were stored, deleted or restored")
 SERVICE = Topic("service", ("service",), ServiceState, "every service", 1.0, "latest", "heartbeat, rates, drops")
 SHARES = Topic("shares", (), Shares, "control", 1.0, "latest", "which instance serves which camera")
 
-TOPICS: tuple[Topic, ...] = (FRAME, CAMERA, TRUTH, DETECTIONS, LABELS, PREVIEW, RECORDING, SERVICE, SHARES)
+TOPICS: tuple[Topic, ...] = (FRAME, CAMERA, TRUTH, DETECTIONS, LABELS, PREVIEW, RECORDING, SAMPLES, SERVICE, SHARES)
 
 
 def topic_of(wire: bytes) -> Topic | None:

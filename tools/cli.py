@@ -39,6 +39,8 @@ SUB_COMMANDS = (
     SubCommand("start", "tools.commands.start", "start a recording"),
     SubCommand("stop", "tools.commands.stop", "end a recording (or all) and print the ledger"),
     SubCommand("ledger", "tools.commands.ledger", "what became of every frame of a recording"),
+    SubCommand("undo", "tools.commands.undo", "move the newest sample to the session's bin"),
+    SubCommand("dataset", "tools.dataset.command", "list samples, delete them to the bin, restore them"),
     SubCommand("session", "tools.commands.session", "open or continue a session"),
     SubCommand("reload", "tools.commands.reload", "check the changed rig file and let the stack take it over"),
     SubCommand("preview", "tools.commands.preview", "keep the inpainted preview of a camera going"),

@@ -9,7 +9,8 @@ from pathlib import Path
 from common.dataset import SCHEMA_PAGE, label_schema_text
 from common.messages import Message
 from common.topics import TOPICS, Topic
-from services.control.commands import COMMANDS, GENERAL_ERRORS, Row, type_words
+from services.control.commands import COMMANDS, GENERAL_ERRORS, Row
+from services.control.describe import fields_of, type_words
 from tools.words import words_for
 
 ROOT = Path(__file__).resolve().parents[1]
@@ -84,6 +85,7 @@ def _type_name(annotation: object) -> str:
     for module in (
         "common.messages.frames.",
         "common.messages.detections.",
+        "common.messages.samples.",
         "common.messages.state.",
         "common.labels.",
     ):
@@ -119,13 +121,13 @@ def commands_page() -> str:
 
 def _command(row: Row) -> Iterator[str]:
     yield from ("", f"## {row.name}", "", f"{row.words[:1].upper()}{row.words[1:]}.", "")
-    schema = row.model.model_json_schema()
-    fields = schema.get("properties", {})
+    fields = fields_of(row.model)
     if fields:
         yield from ("| field | type | default | |", "|---|---|---|---|")
-    for name, part in fields.items():
-        default = "needed" if name in schema.get("required", ()) else f"`{_shown(part.get('default'))}`"
-        yield f"| `{name}` | {type_words(part)} | {default} | {part.get('description', '')} |"
+    for field in fields:
+        default = "needed" if field.required else f"`{_shown(field.default)}`"
+        words = " ".join(field.schema.get("description", "").split())
+        yield f"| `{field.name}` | {type_words(field.schema)} | {default} | {words} |"
     if fields:
         yield ""
     yield f"Answers: {row.answer}."

@@ -76,6 +76,12 @@ WORDS: dict[str, Words] = {
     "wrong_state": Words("Not now.", "Stop what is being recorded first: 'tagmill stop'."),
     "needs_restart": Words("The stack must be restarted for that.", "'tagmill down', then 'tagmill up'."),
     "bad_config": Words("The rig file can't be used.", "Correct it; 'tagmill check' says all that is wrong."),
+    # --- samples -----------------------------------------------------------------------------------------------
+    "no_sample": Words("There is no such sample.", "'tagmill dataset list' names them, with --bin those in the bin."),
+    "nothing_to_undo": Words(
+        "There is nothing to undo.", "Deleted samples are listed by 'tagmill dataset list --bin'."
+    ),
+    "unknown_session": Words("There is no such session.", "Sessions are the folders below dataset.root."),
     # --- the stack and its sockets -----------------------------------------------------------------------------
     "timeout": Words(
         "Time is up.", "What is on its way is still saved; the recording's ledger says what became of it."

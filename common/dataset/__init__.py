@@ -1,6 +1,6 @@
 """The dataset on disk: names, ``session.json``, durable writing, reading. One package for store and tools."""
 
-from common.dataset.durable import is_temporary, sync_folder, write_bytes, write_json
+from common.dataset.durable import is_temporary, make_folder, sync_folder, write_bytes, write_json
 from common.dataset.layout import (
     FOLDERS,
     LABELS,
@@ -32,6 +32,7 @@ __all__ = [
     "label_path",
     "label_schema",
     "label_schema_text",
+    "make_folder",
     "picture_path",
     "read_session",
     "sync_folder",

@@ -5,6 +5,7 @@
     <root>/<session>/session.json, records.jsonl
                      rgb/rgb_<sample>.png            depth/depth_<sample>.png (uint16)
                      label/label_<sample>.json       original/original_<sample>.png (with keep_original)
+                     bin/                            the same folders: samples that were deleted
 """
 
 from __future__ import annotations
@@ -21,6 +22,7 @@ RECORDS_FILE = "records.jsonl"
 LABELS = "label"
 PICTURES: tuple[PictureKind, ...] = ("rgb", "depth", "original")
 FOLDERS: tuple[str, ...] = (*PICTURES, LABELS)
+BIN = "bin"
 
 
 def picture_path(kind: PictureKind, sample: str, extension: str = "png") -> PurePosixPath:

@@ -9,6 +9,7 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
+from common.dataset.bin import bin_of
 from common.dataset.layout import LABELS, PICTURES, PictureKind, label_path, sample_of_label
 from common.dataset.session import SessionFile, parse_versioned, read_session, read_text
 from common.errors import DatasetError
@@ -16,7 +17,10 @@ from common.labels import Label, StoredFile
 
 
 class SessionReader:
-    """One session's folder. A sample exists when its label exists; its pictures are those the label names."""
+    """One session's folder. A sample exists when its label exists; its pictures are those the label names.
+
+    Samples in the bin are none of the session's; ``bin`` reads those.
+    """
 
     def __init__(self, folder: Path) -> None:
         if not folder.is_dir():
@@ -27,6 +31,12 @@ class SessionReader:
     def session(self) -> SessionFile:
         """``session.json`` as it is now; raises DatasetError."""
         return read_session(self.folder)
+
+    @property
+    def bin(self) -> SessionReader | None:
+        """A reader of the samples that were deleted; None if none ever was."""
+        folder = bin_of(self.folder)
+        return SessionReader(folder) if folder.is_dir() else None
 
     def samples(self) -> tuple[str, ...]:
         """The names of all samples, oldest first (names begin with the UTC time)."""

@@ -15,6 +15,7 @@ from common.geometry.camera import CameraModel
 from common.geometry.difference import ModelDifference, model_difference
 from common.geometry.pose import Pose
 from common.geometry.sight import hidden
+from common.geometry.view import view_direction
 
 __all__ = [
     "CORNER_NAMES",
@@ -31,4 +32,5 @@ __all__ = [
     "hidden",
     "marker_points",
     "model_difference",
+    "view_direction",
 ]

@@ -8,6 +8,7 @@ from pydantic import BaseModel, ConfigDict
 
 from common.labels import Label, Part
 from common.ledgers import CameraLedger, Ledger, RecordingSpec
+from common.messages.samples import SampleFilter, SampleList
 
 
 class Order(BaseModel):
@@ -36,6 +37,7 @@ class Answer(BaseModel):
     pending: tuple[str, ...] = ()
     ledgers: tuple[Ledger, ...] = ()
     text: str | None = None
+    listed: SampleList | None = None
 
 
 # --- control to label -------------------------------------------------------------------------------------
@@ -134,5 +136,32 @@ class SessionOrder(Order):
     new_if_different: bool = False
 
 
+class MoveOrder(Order):
+    """Move samples of the open session ``to`` its bin, or back; those that are there already count as moved."""
+
+    kind: Literal["move"] = "move"
+    to: Literal["bin", "session"]
+    samples: tuple[str, ...]
+
+
+class ListOrder(Order):
+    """List samples of a session (None: the open one), the newest first."""
+
+    kind: Literal["list"] = "list"
+    session: str | None = None
+    filter: SampleFilter = SampleFilter()
+    offset: int = 0
+    limit: int = 100
+
+
+class NewestOrder(Order):
+    """Name the newest sample of the open session, of one camera or of all."""
+
+    kind: Literal["newest"] = "newest"
+    camera: str | None = None
+
+
 LabelOrder = RecordOrder | StartOrder | StopOrder | PreviewOrder | ReloadOrder
-StoreSideOrder = StoreOrder | LedgerOrder | LedgerQuery | SessionOrder | ReloadOrder
+StoreSideOrder = (
+    StoreOrder | LedgerOrder | LedgerQuery | SessionOrder | ReloadOrder | MoveOrder | ListOrder | NewestOrder
+)

@@ -1,17 +1,18 @@
 """The command socket's table: one frozen model a command, what it does, what it answers. Pure.
 
 `parsing` turns bytes into these; `service.handlers` says who carries each out; `help` and docs/reference/commands.md
-are made from it.
+are made from it (`describe`).
 """
 
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import Annotated, Any, Literal, Self
+from typing import Annotated, Literal, Self
 
 from pydantic import BaseModel, ConfigDict, Field, model_validator
 
 from common.ids import NAME_PATTERN
+from common.messages import MOST_LISTED, SampleFilter
 
 ALL_CAMERAS = "all"
 
@@ -90,6 +91,39 @@ class SessionCommand(Command):
 
 class ReloadCommand(Command):
     """Take over the changed rig file."""
+
+
+SampleNames = Annotated[
+    tuple[Annotated[str, Field(min_length=1, max_length=120)], ...],
+    Field(min_length=1, max_length=MOST_LISTED, description="samples' names"),
+]
+
+
+class UndoCommand(Command):
+    """Delete the newest sample."""
+
+    camera: Annotated[str | None, Field(pattern=NAME_PATTERN, description="the newest one of this camera")] = None
+
+
+class DeleteCommand(Command):
+    """Move samples to the bin."""
+
+    samples: SampleNames
+
+
+class RestoreCommand(Command):
+    """Put samples back from the bin."""
+
+    samples: SampleNames
+
+
+class SamplesCommand(Command):
+    """List samples."""
+
+    session: Annotated[str | None, Field(pattern=NAME_PATTERN, description="without it, the one that is open")] = None
+    filter: SampleFilter = SampleFilter()
+    offset: Annotated[int, Field(ge=0, le=100_000_000, description="pass over so many, the newest first")] = 0
+    limit: Annotated[int, Field(ge=0, le=MOST_LISTED, description="at most so many; 0 = only the counts")] = 100
 
 
 class HelpCommand(Command):
@@ -189,6 +223,35 @@ COMMANDS: dict[str, Row] = {
             "changed (sections of the rig file)",
             (*_LABEL, "store_down", "bad_config", "needs_restart", "wrong_state", *_DISK, *_SESSION),
         ),
+        Row(
+            "undo",
+            UndoCommand,
+            "delete the newest sample of the open session; asked again, the one before it",
+            "samples (the name of the one that is in the bin now)",
+            (*_STORE, "nothing_to_undo", "no_sample", *_DISK, *_SESSION),
+        ),
+        Row(
+            "delete",
+            DeleteCommand,
+            "move samples of the open session to its bin, durably: all of them or, with a refusal, none",
+            "samples (those that are in the bin now, also if they were there before)",
+            (*_STORE, "no_sample", *_DISK, *_SESSION),
+        ),
+        Row(
+            "restore",
+            RestoreCommand,
+            "put samples back from the bin, durably: all of them or, with a refusal, none",
+            "samples (those that are back now, also if they never were in the bin)",
+            (*_STORE, "no_sample", *_DISK, *_SESSION),
+        ),
+        Row(
+            "samples",
+            SamplesCommand,
+            "a session's samples, the newest first",
+            "session, samples, total (how many match), stored and in_bin (all of the session), next_offset (where to "
+            "go on, nil at the end: an answer may be cut short)",
+            (*_STORE, "unknown_session", *_DISK, *_SESSION),
+        ),
         Row("help", HelpCommand, "the commands with their fields", "commands"),
     )
 }
@@ -197,43 +260,3 @@ COMMANDS: dict[str, Row] = {
 def command_name(command: Command) -> str:
     """The name under which a parsed request stands in the table."""
     return next(row.name for row in COMMANDS.values() if row.model is type(command))
-
-
-def help_answer() -> dict[str, Any]:
-    """What `help` answers: each command with its fields (type, default, words), its answer and its refusals."""
-    return {"commands": {row.name: _described(row) for row in COMMANDS.values()}}
-
-
-def _described(row: Row) -> dict[str, Any]:
-    schema = row.model.model_json_schema()
-    required = set(schema.get("required", ()))
-    fields = {
-        name: {
-            "type": type_words(part),
-            "required": name in required,
-            **({} if name in required else {"default": part.get("default")}),
-            "words": part.get("description", ""),
-        }
-        for name, part in schema.get("properties", {}).items()
-    }
-    return {"words": row.words, "fields": fields, "answer": row.answer, "errors": list(row.errors)}
-
-
-def type_words(part: dict[str, Any]) -> str:
-    """A field's type and bounds in words, from its JSON Schema: ``a whole number 1..1000``."""
-    if "anyOf" in part:
-        kinds = [type_words(each) for each in part["anyOf"] if each.get("type") != "null"]
-        return " or ".join(kinds) + ", or nil"
-    if "pattern" in part:
-        return "a name (letters, digits, '.', '_', '-')"
-    if "enum" in part:
-        return " or ".join(f"'{value}'" for value in part["enum"])
-    word = {"string": "a text", "integer": "a whole number", "number": "a number", "boolean": "true or false"}[
-        part["type"]
-    ]
-    low = part.get("minimum", part.get("exclusiveMinimum"))
-    high = part.get("maximum")
-    if low is None and high is None:
-        return word
-    above = "above " if "exclusiveMinimum" in part else ""
-    return f"{word} {above}{low:.15g}..{high:.15g}" if high is not None else f"{word} from {above}{low:.15g}"

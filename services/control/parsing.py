@@ -15,7 +15,8 @@ from pydantic import ValidationError
 
 from common.errors import CodecError, RefusedError
 from common.messages import unpack
-from services.control.commands import COMMANDS, Command, Row, type_words
+from services.control.commands import COMMANDS, Command, Row
+from services.control.describe import fields_of, type_words
 
 MAX_REQUEST_BYTES = 64 * 1024
 _SHOWN_CHARACTERS = 40
@@ -48,19 +49,22 @@ def parse(data: bytes) -> Command:
 
 
 _WRONG_VALUE = {"greater_than", "greater_than_equal", "less_than", "less_than_equal", "literal_error", "value_error"}
-_OUT_OF_BOUNDS = _WRONG_VALUE | {"string_pattern_mismatch", "finite_number"}
+_WRONG_SIZE = {"too_short", "too_long", "string_too_short", "string_too_long"}
+_OUT_OF_BOUNDS = _WRONG_VALUE | _WRONG_SIZE | {"string_pattern_mismatch", "finite_number"}
 
 
 def _refusal(row: Row, error: ValidationError) -> RefusedError:
     """All mistakes of a request in one refusal; the code is the first one's."""
     code, sentences = "", []
-    known = list(row.model.model_fields)
     for mistake in error.errors(include_url=False, include_context=False):
-        field = str(mistake["loc"][0]) if mistake["loc"] else ""
+        field = ".".join(part for part in mistake["loc"] if isinstance(part, str))  # a number: its place in a list
         if mistake["type"] == "extra_forbidden":
             its_code = "unknown_field"
+            parent, _, name = field.rpartition(".")
+            known = _known_in(row, parent)
             has = f"it has {_listed(known)}" if known else "it has no fields"
-            sentences.append(f"'{row.name}' has no field {_shown(field)}{_suggestion(field, known)}; {has}")
+            where = f"'{parent}' of '{row.name}'" if parent else f"'{row.name}'"
+            sentences.append(f"{where} has no field {_shown(name)}{_suggestion(name, known)}; {has}")
         elif mistake["type"] == "missing":
             its_code = "missing_field"
             sentences.append(f"'{row.name}' needs the field '{field}'")
@@ -74,8 +78,14 @@ def _refusal(row: Row, error: ValidationError) -> RefusedError:
     return RefusedError("; ".join(dict.fromkeys(sentences)), code=code)
 
 
+def _known_in(row: Row, parent: str) -> list[str]:
+    """The fields of a command (parent ''), or of a map within it."""
+    parts = (field.name.rpartition(".") for field in fields_of(row.model))
+    return [name for place, _, name in parts if place == parent]
+
+
 def _wanted(row: Row, field: str) -> str:
-    part = row.model.model_json_schema()["properties"][field]
+    part = next(known.schema for known in fields_of(row.model) if known.name == field)
     words = part.get("description", "")
     return type_words(part) + (f" ({words})" if words else "")
 

@@ -35,6 +35,7 @@ NO_RECORDING = "no_recording"
 START_S = 5.0
 STOP_S = 30.0
 LEDGER_S = 5.0
+DELETED_S = 1.0
 PREVIEW_S = 3.0
 PREVIEW_LEASE_S = 5.0
 AFTER_TIMEOUT_S = 2.0
@@ -175,7 +176,20 @@ class RecordHandlers:
         now = clock.monotonic_ns()
         live = all(self._stack.roll_call.alive(peer, now) for peer in known.open_cameras(command.recording).values())
         told = known.ledger(command.recording)
-        return {"ledger": _plain((yield from self._complete(command.recording, told, live=live)))}
+        ledger = yield from self._complete(command.recording, told, live=live)
+        return {"ledger": _plain((yield from self._with_deleted(ledger)))}
+
+    def _with_deleted(self, ledger: Ledger) -> Generator[Batch, Answers, Ledger]:
+        """The store alone knows what was deleted; while it is away the ledger is told without that."""
+        if not self._stack.roll_call.alive(STORE, clock.monotonic_ns()):
+            return ledger
+        query = LedgerQuery(key=self._keys.new("query"), recording=ledger.spec.recording)
+        (answer,) = yield Batch((Errand(STORE, query),), DELETED_S)
+        cameras = dict(ledger.cameras)
+        for stored in answer.ledgers:
+            for camera in cameras.keys() & stored.cameras.keys():
+                cameras[camera] = cameras[camera].model_copy(update={"deleted": stored.cameras[camera].deleted})
+        return ledger.model_copy(update={"cameras": cameras})
 
     def preview(self, command: PreviewCommand) -> Talk:
         """Pass the lease to the label process that serves the camera."""

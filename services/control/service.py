@@ -22,6 +22,7 @@ from services.control.conversations import MAX_WAITING, Conversations, Keys, Pla
 from services.control.parsing import parse
 from services.control.peers import STORE, Peers
 from services.control.record_handlers import RecordHandlers
+from services.control.sample_handlers import SampleHandlers
 from services.control.stack import Stack
 from services.control.stack_handlers import StackHandlers, survey
 
@@ -37,7 +38,7 @@ Handler = Callable[[Any], Talk]
 
 def handlers(stack: Stack, keys: Keys) -> Mapping[str, Handler]:
     """The handler of each command of the table."""
-    recording, whole = RecordHandlers(stack, keys), StackHandlers(stack, keys)
+    recording, samples, whole = RecordHandlers(stack, keys), SampleHandlers(keys), StackHandlers(stack, keys)
     return {
         "status": whole.status,
         "record": recording.record,
@@ -47,6 +48,10 @@ def handlers(stack: Stack, keys: Keys) -> Mapping[str, Handler]:
         "preview": recording.preview,
         "session": whole.session,
         "reload": whole.reload,
+        "undo": samples.undo,
+        "delete": samples.delete,
+        "restore": samples.restore,
+        "samples": samples.samples,
         "help": whole.help,
     }
 

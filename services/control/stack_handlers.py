@@ -8,8 +8,9 @@ from common import clock
 from common.config import Rig, differences, load_rig
 from common.errors import RefusedError
 from common.messages import LedgerQuery, ReloadOrder, SessionOrder
-from services.control.commands import HelpCommand, ReloadCommand, SessionCommand, StatusCommand, help_answer
+from services.control.commands import HelpCommand, ReloadCommand, SessionCommand, StatusCommand
 from services.control.conversations import Answers, Batch, Errand, Keys, Talk
+from services.control.describe import help_answer
 from services.control.peers import STORE
 from services.control.stack import Stack
 from services.control.status import status_answer

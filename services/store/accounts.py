@@ -8,11 +8,11 @@ from typing import TypeVar
 
 from common.bus import Return
 from common.clock import wall_ns
+from common.dataset.faults import explain
 from common.errors import RefusedError, TagmillError
 from common.ledgers import Ledger
 from common.messages import Answer, ErrorInfo, LedgerOrder, LedgerQuery, Order
 from services.store.background import DiskThread
-from services.store.disk import explain
 from services.store.keeper import SessionKeeper
 from services.store.ledger import no_such
 from services.store.sessions import OpenSession
@@ -29,17 +29,9 @@ class Accounts:
         self._keeper, self._disk, self._answer, self._refuse = keeper, disk, answer, refuse
         self.busy = 0
 
-    def require_session(self) -> OpenSession:
-        """The open session; raises RefusedError with the reason why there is none."""
-        session, refusal = self._keeper.session, self._keeper.refusal
-        if session is None:
-            assert refusal is not None
-            raise RefusedError(refusal.message, code=refusal.code)
-        return session
-
     def account(self, return_: Return, order: LedgerOrder) -> None:
         """Put a camera's account into the ledger; a single request's is written once and for all."""
-        session = self.require_session()
+        session = self._keeper.require_session()
         book = session.book
         if order.ended and order.spec.mode == "record":
             entry = book.entry(order, wall_ns())
@@ -73,7 +65,7 @@ class Accounts:
     def query(self, return_: Return, order: LedgerQuery) -> None:
         """Answer with one recording's ledger or with those that run."""
         try:
-            session = self.require_session()
+            session = self._keeper.require_session()
         except RefusedError as error:
             self._refuse(return_, order, ErrorInfo(code=error.code, message=error.message))
             return
@@ -88,7 +80,8 @@ class Accounts:
             if error is not None:
                 self._refuse(return_, order, error)
             elif ledger is not None:
-                self._answer(return_, Answer(key=order.key, ledgers=(ledger,), text=name))
+                told = session.book.with_deleted(ledger)
+                self._answer(return_, Answer(key=order.key, ledgers=(told,), text=name))
 
         self._submit(session, lambda: session.records.find(wanted), found)
 

@@ -63,10 +63,10 @@ class DiskThread:
     A daemon thread: stuck in a dead disk it can't keep the process from ending.
     """
 
-    def __init__(self, completions: Completions) -> None:
+    def __init__(self, completions: Completions, name: str = "store-disk") -> None:
         self._completions = completions
         self._jobs: queue.SimpleQueue[tuple[Future[Any], Callable[[], Any]] | None] = queue.SimpleQueue()
-        self._thread = threading.Thread(target=self._work, name="store-disk", daemon=True)
+        self._thread = threading.Thread(target=self._work, name=name, daemon=True)
         self._thread.start()
 
     def submit(self, job: Callable[[], T], then: Callable[[Future[T]], None]) -> None:

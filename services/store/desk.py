@@ -23,6 +23,9 @@ from common.messages import (
     ErrorInfo,
     LedgerOrder,
     LedgerQuery,
+    ListOrder,
+    MoveOrder,
+    NewestOrder,
     Order,
     ReloadOrder,
     SessionOrder,
@@ -32,6 +35,7 @@ from common.service.meters import Rate, Tally
 from services.store.accounts import Accounts, Give
 from services.store.background import DiskThread
 from services.store.choice import Choice, remember
+from services.store.gallery import Gallery, Tell
 from services.store.keeper import Phase, SessionKeeper
 from services.store.orders import StoreOrders, fault
 from services.store.sessions import SESSION_DIFFERS, Wanted
@@ -47,12 +51,21 @@ class OrderDesk:
     """
 
     def __init__(
-        self, keeper: SessionKeeper, writer: Writer, disk: DiskThread, wanted: Wanted, answer: Give, run_dir: Path
+        self,
+        keeper: SessionKeeper,
+        writer: Writer,
+        disk: DiskThread,
+        reader: DiskThread,
+        wanted: Wanted,
+        answer: Give,
+        tell: Tell,
+        run_dir: Path,
     ) -> None:
         self._keeper, self._writer, self._disk, self._wanted, self._give_answer = keeper, writer, disk, wanted, answer
         self._run_dir = run_dir
         self._remembering = 0
         self._accounts = Accounts(keeper, disk, self._answer, self._refuse)
+        self._gallery = Gallery(keeper, disk, reader, self._answer, tell)
         self._orders = StoreOrders()
         self._parked: deque[tuple[Return, Order]] = deque()
         self._switches: deque[Callable[[], None]] = deque()
@@ -71,7 +84,8 @@ class OrderDesk:
     @property
     def idle(self) -> bool:
         """Whether every order has its answer."""
-        return not (self.backlog or self._switches or self._remembering or self._accounts.busy) and self._keeper.settled
+        at_the_disk = self._remembering or self._accounts.busy or self._gallery.busy
+        return not (self.backlog or self._switches or at_the_disk) and self._keeper.settled
 
     def open(self) -> None:
         """Begin to open the rig's session."""
@@ -91,6 +105,11 @@ class OrderDesk:
             self._switches.popleft()()
         while self._parked and not self._held_up:
             self._carry_out(*self._parked.popleft())
+        self._gallery.follow()
+
+    def close(self) -> None:
+        """No more samples are read for the list."""
+        self._gallery.close()
 
     @property
     def _held_up(self) -> bool:
@@ -109,6 +128,12 @@ class OrderDesk:
                     self._session(return_, order)
                 case ReloadOrder():
                     self._reload(return_, order)
+                case MoveOrder():
+                    self._gallery.move(return_, order)
+                case NewestOrder():
+                    self._gallery.newest(return_, order)
+                case ListOrder():
+                    self._gallery.list(return_, order, self._wanted.root)
                 case _:
                     raise RefusedError(f"the store takes no {type(order).__name__}", code="bad_order")
         except TagmillError as error:
@@ -131,7 +156,7 @@ class OrderDesk:
             pass
         elif (before := self._orders.refusal(order)) is not None:
             self._answer(return_, before)
-        elif order.key in self._keeper.samples and self._keeper.book is not None:
+        elif self._keeper.has(order.key):
             self._answer(return_, Answer(key=order.key, samples=(order.key,)))
         else:
             self._orders.begin(return_, order)
@@ -177,6 +202,7 @@ class OrderDesk:
             self.bytes_written += written.bytes
             if self._keeper.book is not None:
                 self._keeper.book.sample_stored(order.recording, order.camera)
+            self._gallery.stored(order.key)
         self._finish(order, written.error)
 
     def _finish(self, order: StoreOrder, error: ErrorInfo | None) -> None:

@@ -1,4 +1,4 @@
-"""The disk under the dataset: how much room is left, and what an error of it means to the operator."""
+"""The disk under the dataset: how much room is left, and whether anything can be stored."""
 
 from __future__ import annotations
 
@@ -7,34 +7,12 @@ import os
 from dataclasses import dataclass
 from pathlib import Path
 
+from common.dataset.faults import DISK_FULL, SENTENCES, explain
 from common.errors import RefusedError
 from common.messages import ErrorInfo
 
-DISK_FULL = "disk_full"
-READ_ONLY = "read_only"
-NO_DATASET = "no_dataset"
-DISK_ERROR = "disk_error"
-
 RESERVE_BYTES = 32 << 20
 """Kept free, so that ``session.json`` (the ledger) can be written when there is no room for a sample any more."""
-
-_MEANING = {
-    errno.ENOSPC: DISK_FULL,
-    errno.EDQUOT: DISK_FULL,
-    errno.EFBIG: DISK_FULL,
-    errno.EROFS: READ_ONLY,
-    errno.EACCES: READ_ONLY,
-    errno.EPERM: READ_ONLY,
-    errno.ENOENT: NO_DATASET,
-    errno.ENOTDIR: NO_DATASET,
-    errno.ESTALE: NO_DATASET,
-}
-_SENTENCES = {
-    DISK_FULL: "the disk of {folder} is full ({detail}); free some space there or move the dataset (dataset.root)",
-    READ_ONLY: "{folder} can't be written ({detail}); remount the disk writable or correct the folder's permissions",
-    NO_DATASET: "{folder} is not there any more ({detail}); bring the folder or its disk back, or open another session",
-    DISK_ERROR: "writing to {folder} failed ({detail}); the disk may be broken, see the kernel's log",
-}
 
 
 @dataclass(frozen=True)
@@ -43,12 +21,6 @@ class DiskState:
 
     free_bytes: int | None
     problem: ErrorInfo | None = None
-
-
-def explain(error: OSError, folder: Path) -> ErrorInfo:
-    """The refusal for an error of the operating system: a code and one sentence."""
-    code = _MEANING.get(error.errno or 0, DISK_ERROR)
-    return ErrorInfo(code=code, message=_SENTENCES[code].format(folder=folder, detail=error.strerror or error))
 
 
 def free_bytes(folder: Path) -> int:
@@ -81,6 +53,6 @@ def look(folder: Path, needed: tuple[str, ...], reserve: int) -> DiskState:
 
 
 def _no_room(folder: Path, free: int, reserve: int) -> str:
-    return _SENTENCES[DISK_FULL].format(
+    return SENTENCES[DISK_FULL].format(
         folder=folder, detail=f"{free / 1e6:.0f} MB free, of which {reserve / 1e6:.0f} MB are kept for the ledger"
     )

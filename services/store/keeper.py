@@ -10,12 +10,13 @@ from structlog.typing import FilteringBoundLogger
 
 from common import clock
 from common.dataset import FOLDERS, SESSION_FILE, write_bytes
-from common.errors import TagmillError
+from common.dataset.faults import DISK_ERROR, NO_DATASET, explain
+from common.dataset.locks import SESSION_BUSY
+from common.errors import RefusedError, TagmillError
 from common.messages import ErrorInfo
 from services.store.background import DiskThread
-from services.store.disk import DISK_ERROR, NO_DATASET, DiskState, explain, look
+from services.store.disk import DiskState, look
 from services.store.ledger import Book
-from services.store.locks import SESSION_BUSY
 from services.store.sessions import OpenSession, SessionDiffersError, Wanted, open_session
 
 _SECOND = 1_000_000_000
@@ -54,6 +55,7 @@ class SessionKeeper:
         self.disk = DiskState(None)
         self.session: OpenSession | None = None
         self.samples: set[str] = set()
+        self.binned: set[str] = set()
         self._wanted: Wanted | None = None
         self._before: tuple[Wanted, ErrorInfo] | None = None
         self._opened_then: Done | None = None
@@ -74,6 +76,19 @@ class SessionKeeper:
     def book(self) -> Book | None:
         """The open session's book."""
         return None if self.session is None else self.session.book
+
+    def require_session(self) -> OpenSession:
+        """The open session; raises RefusedError with the reason why there is none."""
+        if self.session is None:
+            assert self.refusal is not None
+            raise RefusedError(self.refusal.message, code=self.refusal.code)
+        return self.session
+
+    def has(self, sample: str) -> bool:
+        """Whether a sample is durable in the open session, or was: in the bin, or removed from it for good."""
+        if self.session is None:
+            return False
+        return sample in self.samples or sample in self.binned or sample in self.session.inventory.emptied
 
     @property
     def problem(self) -> ErrorInfo | None:
@@ -139,7 +154,8 @@ class SessionKeeper:
         else:
             self.close()
             self.phase, self.session = Phase.OPEN, session
-            self.samples, self._durable = session.inventory.samples, session.book.revision
+            self.samples, self.binned = session.inventory.samples, session.inventory.binned
+            self._durable = session.book.revision
             self._tell(session)
         self._answer_opener(None)
 
@@ -175,6 +191,8 @@ class SessionKeeper:
     def _tell(self, session: OpenSession) -> None:
         found = session.inventory
         log = self._log.bind(session=session.folder.name)
+        if found.settled:
+            log.warning("recovery.settled", files=len(found.settled), names=found.settled[:20])
         if found.removed:
             log.warning("recovery.removed", files=len(found.removed), names=found.removed[:20])
         if found.orphans:

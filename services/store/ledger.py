@@ -13,6 +13,7 @@ from typing import Any
 from common.clock import iso_utc
 from common.dataset.session import RecordingProgress, SessionCamera, SessionFile, StackLife
 from common.errors import RefusedError
+from common.ids import sample_camera
 from common.labels import CameraLabel
 from common.ledgers import CameraLedger, Ledger, RecordingSpec
 from common.messages import ErrorInfo, LedgerOrder
@@ -28,12 +29,19 @@ _CALIBRATION = ("width", "height", "model", "matrix", "distortion")
 class Book:
     """``session.json`` in memory. ``revision`` grows with every change that must get to the disk."""
 
-    def __init__(self, file: SessionFile, recorded: Mapping[str, Counter[str]], life: StackLife) -> None:
+    def __init__(
+        self,
+        file: SessionFile,
+        recorded: Mapping[str, Counter[str]],
+        life: StackLife,
+        deleted: Mapping[str, Counter[str]] | None = None,
+    ) -> None:
         self._file = file
         self._cameras = dict(file.cameras)
         self._recordings = dict(file.recordings)
         self._progress = dict(file.progress)
         self._recorded = {recording: Counter(counts) for recording, counts in recorded.items()}
+        self._deleted = {recording: Counter(counts) for recording, counts in (deleted or {}).items()}
         self._records = dict(file.records)
         self._life = life
         self._met: dict[str, int] = {}
@@ -56,7 +64,7 @@ class Book:
                 "cameras": dict(self._cameras),
                 "recordings": {name: self._with_counts(ledger) for name, ledger in self._recordings.items()},
                 "progress": dict(self._progress),
-                "records": self._records,
+                "records": self._records_with_deleted(),
             }
         )
 
@@ -106,6 +114,13 @@ class Book:
         # A running recording's next account brings the count to the disk, and the next start counts anew.
         if ledger is not None and ledger.phase not in _ALIVE:
             self.revision += 1
+
+    def samples_moved(self, samples: Mapping[str, str | None], *, deleted: bool) -> None:
+        """Samples, each with its recording, went to the bin or came back: they stay recorded, and count as deleted."""
+        for sample, recording in samples.items():
+            if recording is not None:
+                self._deleted.setdefault(recording, Counter())[sample_camera(sample)] += 1 if deleted else -1
+        self.revision += 1
 
     def merge(self, order: LedgerOrder, now_wall_ns: int) -> Ledger:
         """Put one camera's account into its recording; returns the recording's ledger.
@@ -192,15 +207,40 @@ class Book:
             self.revision += 1
         return tuple(closed)
 
+    def with_deleted(self, ledger: Ledger) -> Ledger:
+        """A ledger from ``records.jsonl``, whose lines never change, with what was deleted since."""
+        deleted = self._deleted.get(ledger.spec.recording, Counter())
+        return with_deleted(ledger, deleted)
+
+    def _records_with_deleted(self) -> dict[str, CameraLedger]:
+        total: Counter[str] = Counter()
+        for recording, counts in self._deleted.items():
+            if recording not in self._recordings:
+                total.update(counts)
+        return {
+            camera: account.model_copy(update={"deleted": total[camera]}) for camera, account in self._records.items()
+        }
+
     def _with_counts(self, ledger: Ledger) -> Ledger:
         counted = self._recorded.get(ledger.spec.recording)
-        if not counted:
-            return ledger
-        cameras = {
-            camera: _with_count(ledger.cameras.get(camera, CameraLedger()), counted.get(camera, 0))
-            for camera in {**ledger.cameras, **counted}
-        }
-        return ledger.model_copy(update={"cameras": cameras})
+        if counted:
+            cameras = {
+                camera: _with_count(ledger.cameras.get(camera, CameraLedger()), counted.get(camera, 0))
+                for camera in {**ledger.cameras, **counted}
+            }
+            ledger = ledger.model_copy(update={"cameras": cameras})
+        return self.with_deleted(ledger)
+
+
+def with_deleted(ledger: Ledger, deleted: Mapping[str, int]) -> Ledger:
+    """The ledger with these counts of deleted samples by camera."""
+    if all(account.deleted == deleted.get(camera, 0) for camera, account in ledger.cameras.items()):
+        return ledger
+    cameras = {
+        camera: account.model_copy(update={"deleted": deleted.get(camera, 0)})
+        for camera, account in ledger.cameras.items()
+    }
+    return ledger.model_copy(update={"cameras": cameras})
 
 
 def no_such(session: str, recording: str) -> ErrorInfo:

@@ -1,7 +1,8 @@
 """The store: makes samples durable, keeps the session's ledger, and answers only for what is on the disk.
 
 Consumes: orders (``StoreOrder``, ``LedgerOrder``, ``LedgerQuery``, ``SessionOrder``, ``ReloadOrder``), the topic
-``camera``, pixels from sample rings. Produces: the dataset, answers, its state.
+``camera``, pixels from sample rings, and orders about stored samples (``MoveOrder``, ``ListOrder``, ``NewestOrder``).
+Produces: the dataset, answers, the topic ``samples``, its state.
 States: running; faulty while nothing can be stored (another rig's session, disk full, read-only or gone): it then
 stays, says why, refuses orders with that reason, and goes on by itself when the disk is back.
 """
@@ -11,15 +12,16 @@ from __future__ import annotations
 import os
 
 from common import clock
-from common.bus import OrderServer, Poller, Subscriber
+from common.bus import OrderServer, Poller, Publisher, Subscriber
 from common.clock import wall_ns
-from common.messages import CameraState, StoreSideOrder, Warned
+from common.messages import CameraState, SamplesChanged, StoreSideOrder, Warned
 from common.service import Context, Report
-from common.topics import CAMERA
+from common.topics import CAMERA, SAMPLES
 from services.store.background import Completions, DiskThread
 from services.store.choice import recall
 from services.store.desk import OrderDesk
 from services.store.disk import RESERVE_BYTES
+from services.store.gallery import What
 from services.store.keeper import SessionKeeper
 from services.store.life import stack_life
 from services.store.sessions import SESSION_DIFFERS, Wanted
@@ -42,6 +44,7 @@ class StoreService:
         self._completions = Completions()
         self._poller = Poller(self._completions)
         self._disk: DiskThread | None = None
+        self._reader: DiskThread | None = None
         self._writer: Writer | None = None
         self._keeper: SessionKeeper | None = None
         self._warned: dict[str, Warned] = {}
@@ -52,15 +55,24 @@ class StoreService:
         self._server = OrderServer(context.endpoints.orders_store, StoreSideOrder, context.id)
         self._subscriber = Subscriber(context.endpoints)
         self._subscriber.subscribe(CAMERA)
+        self._publisher = Publisher(context.endpoints, context.id, context.boot)
         self._poller.add(self._server)
         self._poller.add(self._subscriber)
         reserve, delay_s = _from_environment()
         self._disk = DiskThread(self._completions)
+        self._reader = DiskThread(self._completions, "store-list")
         self._keeper = SessionKeeper(self._disk, context.log, reserve)
         self._writer = Writer(context.log, reserve=reserve, delay_s=delay_s)
         self._poller.add(self._writer)
         self._desk = OrderDesk(
-            self._keeper, self._writer, self._disk, self._wanted(), self._server.answer, context.endpoints.run_dir
+            self._keeper,
+            self._writer,
+            self._disk,
+            self._reader,
+            self._wanted(),
+            self._server.answer,
+            self._tell,
+            context.endpoints.run_dir,
         )
         self._desk.open()
 
@@ -86,6 +98,12 @@ class StoreService:
         self._completions.run()
         self._writer.collect()
         self._desk.go_on()
+
+    def _tell(self, session: str, what: What, samples: tuple[str, ...]) -> None:
+        assert self._keeper is not None
+        stored, in_bin = len(self._keeper.samples), len(self._keeper.binned)
+        news = SamplesChanged(session=session, what=what, samples=samples, stored=stored, in_bin=in_bin)
+        self._publisher.publish(SAMPLES, (), news)
 
     def _hear_cameras(self) -> None:
         for received in self._subscriber.receive():
@@ -122,9 +140,11 @@ class StoreService:
 
     def close(self) -> None:
         """End workers and thread, close sockets, release the session; idempotent."""
-        for owner in (getattr(self, "_server", None), getattr(self, "_subscriber", None), self._writer):
-            if owner is not None:
+        for name in ("_desk", "_server", "_subscriber", "_publisher", "_writer"):
+            if (owner := getattr(self, name, None)) is not None:
                 owner.close()
+        if self._reader is not None:
+            self._reader.close(_CLOSE_S)
         if self._disk is not None and not self._disk.close(_CLOSE_S):
             self._context.log.warning("disk.stuck", why="the disk doesn't answer; the process ends without it")
         if self._keeper is not None:
@@ -139,6 +159,7 @@ class StoreService:
         problem = keeper.problem
         numbers = {
             "samples": float(len(keeper.samples)),
+            "in_bin": float(len(keeper.binned)),
             "backlog": float(desk.backlog),
             "bytes_written": float(desk.bytes_written),
             "workers_replaced": float(self._writer.replaced),

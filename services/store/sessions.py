@@ -13,11 +13,11 @@ from typing import Any
 from common import VERSION
 from common.clock import iso_utc, wall_ns
 from common.config import Rig, differences
-from common.dataset import LABELS, SESSION_FILE, SessionFile, StackLife, read_session, sync_folder, write_bytes
+from common.dataset import LABELS, SESSION_FILE, SessionFile, StackLife, make_folder, read_session, write_bytes
+from common.dataset.locks import FolderLock
 from common.errors import RefusedError
 from services.store.disk import require_room
 from services.store.ledger import Book
-from services.store.locks import FolderLock
 from services.store.records import Records, summed
 from services.store.recovery import Inventory, recover
 
@@ -89,7 +89,7 @@ def _open(wanted: Wanted, folder: Path, reserve: int, held: OpenSession | None) 
     if held is not None and held.folder == folder:
         _require_same_rig(folder, held.book.rig, wanted.rig)
         return held
-    _make_folder(folder)
+    make_folder(folder)
     lock = FolderLock(folder)
     try:
         return _open_locked(wanted, folder, lock, reserve)
@@ -103,7 +103,7 @@ def _open_locked(wanted: Wanted, folder: Path, lock: FolderLock, reserve: int) -
     if known is not None:
         _require_same_rig(folder, known.rig, wanted.rig)
     for name in _ALWAYS:
-        _make_folder(folder / name)
+        make_folder(folder / name)
     with FolderLock(folder / LABELS):
         inventory = recover(folder)
     plain = wanted.rig.as_plain()
@@ -111,13 +111,14 @@ def _open_locked(wanted: Wanted, folder: Path, lock: FolderLock, reserve: int) -
     records = Records(folder)
     file = _without_requests(file, records)
     open_counts = {recording: counts for recording, counts in inventory.recorded.items() if recording not in records}
-    book = Book(file, open_counts, wanted.life)
+    book = Book(file, open_counts, wanted.life, inventory.deleted)
     book.take_rig(plain)
     interrupted = book.close_earlier(wall_ns())
-    if file != known or book.revision:
+    snapshot = book.snapshot()  # also told otherwise by what was deleted without a stack, or just before a kill
+    if snapshot != known:
         if known is None:
             require_room(folder, 0, reserve)
-        write_bytes(folder / SESSION_FILE, book.snapshot().to_bytes())
+        write_bytes(folder / SESSION_FILE, snapshot.to_bytes())
     return OpenSession(folder, book, inventory, lock, interrupted, known is None, records)
 
 
@@ -140,15 +141,6 @@ def _require_same_rig(folder: Path, known: Mapping[str, Any], rig: Rig) -> None:
     found = tuple(differences(known, rig.as_plain()))
     if found:
         raise SessionDiffersError(folder, found)
-
-
-def _make_folder(folder: Path) -> None:
-    """Make a folder and its parents durable; one that exists costs nothing."""
-    if folder.is_dir():
-        return
-    _make_folder(folder.parent)
-    folder.mkdir(exist_ok=True)
-    sync_folder(folder.parent)
 
 
 def _versions() -> dict[str, str]:

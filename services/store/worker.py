@@ -11,13 +11,13 @@ from pathlib import Path
 
 import cv2
 
+from common.dataset.faults import explain
 from common.dataset.layout import LABELS
+from common.dataset.locks import FolderLock
 from common.errors import FrameLostError, RefusedError
 from common.frames import SampleSlots
 from common.labels import Label
 from common.messages import ErrorInfo
-from services.store.disk import explain
-from services.store.locks import FolderLock
 from services.store.sample import is_stored, pictures_for, write_sample
 
 PIXELS_GONE = "pixels_gone"

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import time
 from pathlib import Path
+from typing import Any, Literal
 
 import numpy as np
 
@@ -26,7 +27,20 @@ from common.labels import (
     Window,
 )
 from common.ledgers import CameraLedger, RecordingSpec
-from common.messages import Answer, ErrorInfo, LedgerOrder, LedgerQuery, Order, ReloadOrder, SessionOrder, StoreOrder
+from common.messages import (
+    Answer,
+    ErrorInfo,
+    LedgerOrder,
+    LedgerQuery,
+    ListOrder,
+    MoveOrder,
+    Order,
+    ReloadOrder,
+    SampleFilter,
+    SampleList,
+    SessionOrder,
+    StoreOrder,
+)
 
 WIDTH, HEIGHT = 64, 48
 ANSWER_S = 20.0
@@ -181,6 +195,28 @@ class StoreSide:
         """Have the rig read again and wait for the answer."""
         self._sent += 1
         return self.answer_to(self.send(ReloadOrder(key=f"reload-{self._sent}")))
+
+    def move(self, to: Literal["bin", "session"], *samples: str) -> str:
+        """Have samples moved; returns the order's key."""
+        self._sent += 1
+        return self.send(MoveOrder(key=f"move-{self._sent}", to=to, samples=samples))
+
+    def listed(self, *, session: str | None = None, offset: int = 0, limit: int = 100, **wanted: Any) -> SampleList:
+        """Ask for a list and wait for it."""
+        self._sent += 1
+        answer = self.answer_to(
+            self.send(
+                ListOrder(
+                    key=f"list-{self._sent}",
+                    session=session,
+                    filter=SampleFilter(**wanted),
+                    offset=offset,
+                    limit=limit,
+                )
+            )
+        )
+        assert answer.listed is not None, answer.error
+        return answer.listed
 
     def receive(self, wait_s: float = 0.2) -> None:
         """Take the answers that come within ``wait_s``."""

@@ -63,7 +63,7 @@ def _codes(path: Path) -> set[str]:
         elif isinstance(node, ast.Assign) and isinstance(node.targets[0], ast.Name):
             if node.targets[0].id == "code":
                 found.append(node.value)
-            elif node.targets[0].id in {"_REASONS", "_SENTENCES"} and isinstance(node.value, ast.Dict):
+            elif node.targets[0].id in {"_REASONS", "SENTENCES"} and isinstance(node.value, ast.Dict):
                 found += node.value.keys
     texts = {item.value for item in found if isinstance(item, ast.Constant)}
     return {text for text in texts if isinstance(text, str)} | {

@@ -4,9 +4,10 @@ from pathlib import Path
 
 import pytest
 
+from common.dataset.faults import explain
+from common.dataset.locks import FolderLock
 from common.errors import RefusedError
-from services.store.disk import explain, free_bytes, look, require_room
-from services.store.locks import FolderLock
+from services.store.disk import free_bytes, look, require_room
 from tests.support.mounts import make_read_only, small_disk
 
 

@@ -1,6 +1,7 @@
 """Who may touch a session. ``flock`` on its folders, so it ends with its holder and leaves no file behind.
 
 The store holds the session's folder exclusively: two stacks with one dataset root don't mix their samples.
+`tagmill dataset` holds it likewise where it moves samples without a stack.
 Each writing worker holds the label folder shared, and recovery takes it exclusively: a worker of a killed store
 that is still stuck in the disk can't finish a sample behind the back of the recovery that removes it.
 """

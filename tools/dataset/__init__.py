@@ -1,0 +1,1 @@
+"""`tagmill dataset`: what is done to samples that are stored."""
