@@ -66,14 +66,16 @@ def lateness_ms(colour_ticks: int, depth_ticks: int) -> float:
 
 
 class TickClock:
-    """The camera's clock as ns that never run backwards: its 32 bits begin anew after six days."""
+    """The camera's clock as ns that go on where its 32 bits begin anew (after six days)."""
 
     def __init__(self) -> None:
-        self._last = 0
+        self._last: int | None = None
         self._ticks = 0
 
     def ns(self, ticks: int) -> int:
         """The time of a frame's ``timestamp``."""
+        if self._last is None:
+            self._ticks = self._last = ticks
         step = (ticks - self._last) % _TICKS
         self._ticks += step if step < _TICKS // 2 else step - _TICKS
         self._last = ticks

@@ -209,6 +209,20 @@ def test_a_bag_that_was_cut_off_is_a_camera_error_or_plays_what_is_there(
             assert len(rest_of(opened(rig_of, path, TOPICS))) <= 6
 
 
+@pytest.mark.parametrize("kind", KINDS)
+def test_damaged_bytes_are_told_and_never_a_bug(rig_of: RigOf, tmp_path: Path, kind: str) -> None:
+    path = write_rgbd(kind, tmp_path / "recorded", 2)
+    file = path if path.is_file() else next(one for one in path.iterdir() if one.suffix in {".mcap", ".db3"})
+    data, random = file.read_bytes(), np.random.default_rng(7)
+    for _ in range(8):
+        damaged = bytearray(data)
+        for at in random.integers(len(data), size=20):
+            damaged[at] = random.integers(256)
+        file.write_bytes(damaged)
+        with contextlib.suppress(CameraError, FrameSkippedError, ConfigError):
+            rest_of(opened(rig_of, path, TOPICS))
+
+
 def test_without_rosbags_it_says_what_to_install(
     rig_of: RigOf, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
