@@ -86,8 +86,9 @@ def _colour(device: Any, wish: Wish) -> Mode:
         if wish.width in (None, mode.width) and wish.height in (None, mode.height) and wish.fps in (None, mode.fps)
     ]
     if not fitting:
-        asked = f"{wish.width or 'any'}x{wish.height or 'any'}" + (f" at {wish.fps:g} frames/s" if wish.fps else "")
-        raise _missing(device, "colour", asked, modes)
+        size = f" {wish.width or 'any'}x{wish.height or 'any'}" if wish.width or wish.height else ""
+        rate = f" at {wish.fps:g} frames/s" if wish.fps else ""
+        raise _missing(device, "colour", size + rate, modes)
     return min(
         fitting,
         key=lambda mode: (
@@ -104,7 +105,7 @@ def _depth(device: Any, wish: Wish, colour: Mode) -> Mode:
     at_rate = [mode for mode in modes if mode.fps == colour.fps]
     fitting = [mode for mode in at_rate if wish.depth_size in (None, mode.size)]
     if not fitting:
-        size = "any size" if wish.depth_size is None else "{}x{}".format(*wish.depth_size)
+        size = "" if wish.depth_size is None else " {}x{}".format(*wish.depth_size)
         raise _missing(device, "depth", f"{size} at {colour.fps} frames/s (colour's rate)", modes)
     area = colour.width * colour.height
     return min(fitting, key=lambda mode: (mode.size != colour.size, abs(math.log(mode.width * mode.height / area))))
@@ -114,7 +115,7 @@ def _missing(device: Any, what: str, asked: str, modes: list[Mode]) -> ConfigErr
     offered = "; ".join(
         f"{width}x{height} at {', '.join(map(str, rates))}" for (width, height), rates in summary(modes).items()
     )
-    text = f"the {title_of(device)} has no {what} mode {asked}; it has {offered or 'no ' + what + ' at all'}"
+    text = f"the {title_of(device)} has no {what} mode{asked}; it has {offered or 'no ' + what + ' at all'}"
     if on_usb_2(device):
         return CameraError(f"{text}; it is on USB 2, plug it into a USB 3 port for all its modes")
     cure = "; say `depth: false`" if what == "depth" and not modes else ""

@@ -150,6 +150,7 @@ class RecordedStream:
         self._path = path
         self._context = rs.context()
         self._pipeline: Any | None = rs.pipeline(self._context)
+        self._resuming: threading.Thread | None = None
         try:
             device = self._resolved(rs.config()).get_device()
             self.colour, self.depth = choose(device, wish)
@@ -159,9 +160,9 @@ class RecordedStream:
             raise CameraError(
                 f"{path} can't be read as a RealSense recording: {' '.join(str(error).split())}"
             ) from error
-        except (ConfigError, CameraError):
+        except ConfigError as error:
             self.close()
-            raise
+            raise ConfigError(f"{path}: {error.message}") from error
         self._pairing = Pairing(self.colour.fps, depth=self.depth is not None)
         self._first: Pair | None = self._first_pair()
 
@@ -176,6 +177,8 @@ class RecordedStream:
         pipeline, self._pipeline = self._pipeline, None
         if pipeline is not None:
             _stop(pipeline)
+        if self._resuming is not None:
+            self._resuming.join()
 
     def _resolved(self, config: Any) -> Any:
         assert self._pipeline is not None
@@ -183,7 +186,11 @@ class RecordedStream:
         return config.resolve(rs.pipeline_wrapper(self._pipeline))
 
     def _begin(self) -> None:
-        """In this order no frame is lost: not in real time, paused until the pipeline listens."""
+        """In this order no frame is lost: not in real time, paused until the pipeline listens.
+
+        ``resume`` waits until the player has taken note, which it can't while it waits for a reader of its first
+        frame: in one opening of five it hung for the SDK's limit of 10 s. So it gets a thread, and this one reads.
+        """
         assert self._pipeline is not None
         config = rs.config()
         for mode in (self.colour, self.depth):
@@ -194,7 +201,8 @@ class RecordedStream:
         self._playback.set_real_time(False)
         self._playback.pause()
         self._pipeline.start(config)
-        self._playback.resume()
+        self._resuming = threading.Thread(target=self._playback.resume, name="realsense-resume", daemon=True)
+        self._resuming.start()
 
     def _first_pair(self) -> Pair:
         try:

@@ -293,7 +293,7 @@ def test_a_calibration_file_wins_over_the_factory(bench: Bench, tmp_path: Path) 
     assert description.camera.intrinsics_from == "calibration"
     assert description.camera.matrix[0][0] == 140
     assert description.camera.serial == SERIAL
-    assert f"is of the camera 77, attached is {SERIAL}" in description.warnings[0]
+    assert f"is of the camera 77, this one is {SERIAL}" in description.warnings[0]
 
 
 def test_what_the_sdk_refuses_is_one_sentence(bench: Bench) -> None:
