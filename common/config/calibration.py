@@ -5,6 +5,7 @@ All three come down to picture size, camera matrix and distortion; ``read_calibr
 
 from __future__ import annotations
 
+import json
 import os
 from collections.abc import Mapping
 from pathlib import Path
@@ -75,11 +76,13 @@ def write_calibration(path: Path, camera: CameraLabel, quality: Mapping[str, Any
         "camera_matrix": [list(row) for row in camera.matrix],
         "distortion": list(camera.distortion),
     }
-    if camera.serial is not None:
-        document["serial"] = camera.serial
-    if quality:
-        document["quality"] = dict(quality)
     text = yaml.safe_dump(document, sort_keys=False, default_flow_style=None, width=110, allow_unicode=True)
+    if camera.serial is not None:
+        # Always quoted: PyYAML leaves 0815 bare, and readers of YAML 1.2 make the number 815 of it.
+        text += f"serial: {json.dumps(camera.serial, ensure_ascii=False)}\n"
+    if quality:
+        own = {"quality": dict(quality)}
+        text += yaml.safe_dump(own, sort_keys=False, default_flow_style=None, width=110, allow_unicode=True)
     temporary = path.with_name(f".{path.name}.{os.getpid()}.tmp")
     try:
         with temporary.open("w", encoding="utf-8") as file:

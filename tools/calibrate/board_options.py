@@ -4,8 +4,9 @@ from __future__ import annotations
 
 import argparse
 import re
+from collections.abc import Mapping
 from pathlib import Path
-from typing import get_args
+from typing import Any, get_args
 
 from pydantic import ValidationError
 
@@ -49,12 +50,16 @@ def chosen_board(args: argparse.Namespace) -> Board:
         board = read_board(Path(args.board))
         if args.size is not None or set(given) - {"measured_scale"}:
             raise ConfigError(f"{args.board} describes the board; leave the other options out, or correct the file")
-        return board.model_copy(update=given)
+        return _validated(board.model_dump(exclude_none=True) | given)
     size = _SIZE.fullmatch(args.size or "")
     if size is None:
         raise ConfigError(f"--size must be columns x rows, like 9x6, not {args.size!r}")
+    return _validated({"kind": args.board, "columns": int(size[1]), "rows": int(size[2]), **given})
+
+
+def _validated(described: Mapping[str, Any]) -> Board:
     try:
-        return Board.model_validate({"kind": args.board, "columns": int(size[1]), "rows": int(size[2]), **given})
+        return Board.model_validate(described)
     except ValidationError as error:
         problems = tuple(
             f"--{'-'.join(str(part) for part in item['loc']).replace('_', '-') or 'board'}: {item['msg']}"

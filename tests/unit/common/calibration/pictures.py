@@ -10,7 +10,7 @@ from common.boards import Board
 from common.geometry import CameraModel
 
 Array = NDArray[np.float64]
-SUPER = 3
+SUPER = 4
 """Rays along each side of a pixel."""
 _PER_MM = 10
 _COARSE = 8

@@ -48,9 +48,7 @@ class Camera:
         size = (self.model.width, self.model.height)
         return View(name, size, np.arange(len(points)), points, corners, 2.5, 20.0)
 
-    def look(
-        self, rng: np.random.Generator, name: str, *, tilt: float, towards: float, place: Array, share: float
-    ) -> View:
+    def pose(self, rng: np.random.Generator, *, tilt: float, towards: float, place: Array, share: float) -> Array:
         """The board tilted (degrees), its middle at ``place`` (0..1 of the picture), its width a share of it."""
         middle = self.points().mean(axis=0)
         axis = np.array([-np.sin(np.radians(towards)), np.cos(np.radians(towards)), 0.0])
@@ -58,24 +56,31 @@ class Camera:
         distance = self.model.matrix[0, 0] * self.columns * self.square_mm / (share * self.model.width)
         ray = self.model.normalise(place * [self.model.width - 1, self.model.height - 1])[0]
         at = np.array([*ray, 1.0]) * distance
-        return self.view(np.concatenate([cv2.Rodrigues(turn)[0].ravel(), at - turn @ middle]), name, rng)
+        return np.concatenate([cv2.Rodrigues(turn)[0].ravel(), at - turn @ middle])
+
+    def look(
+        self, rng: np.random.Generator, name: str, *, tilt: float, towards: float, place: Array, share: float
+    ) -> View:
+        return self.view(self.pose(rng, tilt=tilt, towards=towards, place=place, share=share), name, rng)
 
     def good_views(self, rng: np.random.Generator, count: int = 24) -> list[View]:
-        """Tilted to all sides, all over the picture, whole boards only."""
-        found: list[View] = []
+        return [view for view, _ in self.posed_views(rng, count)]
+
+    def posed_views(self, rng: np.random.Generator, count: int = 24) -> list[tuple[View, Array]]:
+        """Tilted to all sides, all over the picture, corners outside of it left out; each with its true pose."""
+        found: list[tuple[View, Array]] = []
         while len(found) < count:
-            number = len(found)
-            view = self.look(
+            pose = self.pose(
                 rng,
-                f"{number:02d}",
                 tilt=float(rng.uniform(5, 45)),
                 towards=float(rng.uniform(0, 360)),
                 place=rng.uniform(0.08, 0.92, 2),
                 share=float(rng.uniform(0.25, 0.6)),
             )
+            view = self.view(pose, f"{len(found):02d}", rng)
             inside = self.model.contains(view.corners)
-            if inside.sum() >= 20 and np.isfinite(view.corners).all():
-                found.append(view.kept(inside))
+            if inside.sum() >= 20:
+                found.append((view.kept(inside), pose))
         return found
 
     def as_model(self, distortion: Array, model: str = "pinhole") -> Camera:

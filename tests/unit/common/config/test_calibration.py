@@ -192,6 +192,13 @@ def test_what_is_written_is_read_back(
     assert [one.name for one in tmp_path.iterdir()] == ["cal.yaml"]
 
 
+@pytest.mark.parametrize("serial", ["0815", "815", "1e3", "0x1F", "yes", 'a"b', "é", "usb: 3"])
+def test_a_serial_stays_the_text_it_is(serial: str, tmp_path: Path) -> None:
+    label = CameraLabel(name="a", width=1280, height=720, matrix=MATRIX, distortion=(), serial=serial)
+    write_calibration(tmp_path / "cal.yaml", label, {"rms_px": 0.25})
+    assert read_calibration(tmp_path / "cal.yaml", "a").serial == serial
+
+
 def test_a_calibration_that_can_t_be_written(tmp_path: Path) -> None:
     label = CameraLabel(name="a", width=640, height=480, matrix=MATRIX, distortion=())
     with pytest.raises(ConfigError, match="can't be written"):
