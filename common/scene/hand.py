@@ -81,12 +81,16 @@ class Hand:
 
     def _outside(self, xy: Array) -> Array:
         """Distance (mm) of points (N, 2) of the plane from the hand's outline, negative inside."""
-        nearest = np.full(len(xy), np.inf)
-        for x0, y0, x1, y1, radius in _CAPSULES * self.size:
-            along = np.array([x1 - x0, y1 - y0])
-            share = np.clip((xy - (x0, y0)) @ along / (along @ along), 0.0, 1.0)
-            nearest = np.minimum(nearest, np.linalg.norm(xy - (x0, y0) - share[:, None] * along, axis=1) - radius)
-        return nearest
+        x, y = np.asarray(xy.T, dtype=np.float32)
+        nearest = np.full(len(xy), np.inf, dtype=np.float32)
+        for x0, y0, x1, y1, radius in (_CAPSULES * self.size).astype(np.float32):
+            right, up = x - x0, y - y0
+            across, along = x1 - x0, y1 - y0
+            share = np.clip((right * across + up * along) / (across * across + along * along), 0.0, 1.0)
+            right -= share * across
+            up -= share * along
+            np.minimum(nearest, np.sqrt(right * right + up * up) - radius, out=nearest)
+        return nearest.astype(np.float64)
 
 
 def noisy_depth(depth: Depth, share: float, random: np.random.Generator) -> Depth:

@@ -23,6 +23,8 @@ _PATCH = 5
 _BAND = cv2.getStructuringElement(cv2.MORPH_ELLIPSE, (7, 7))
 """Depth and colour disagree by about three pixels on where the thing's edge is."""
 _FAR = 65535
+_SPARSE = 2
+"""The noise is estimated from one pixel in so many, each way."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -43,22 +45,35 @@ def covering(regions: Sequence[Region], depth: DepthPicture) -> Covering | None:
     height, width = depth.values.shape
     found = Covering(np.zeros((height, width), dtype=bool), np.zeros((height, width), dtype=bool))
     bare = np.zeros((height, width), dtype=bool)
-    for region in regions:
-        crop = crop_around([region.polygon], width, height)
+    for group in _by_surface(regions):
+        crop = crop_around([region.polygon for region in group], width, height)
         if crop is None:
             continue
-        inside = mask_of([region.polygon], crop) > 0
-        near = _nearer(region.surface, depth, crop)
-        if region.polygon.because == "detected" and 2 * int(near[inside].sum()) > int(inside.sum()):
+        before = _nearer(group[0].surface, depth, crop)
+        if not before.any():
+            for region in group:
+                bare[crop.slices] |= mask_of([region.polygon], crop) > 0
+            continue
+        for region in group:
+            inside = mask_of([region.polygon], crop) > 0
             # What was read isn't covered: the pose or the depth is off.
-            near[:] = 0
-        core = np.asarray(cv2.erode(near, _BAND, borderValue=1), dtype=np.uint8) > 0
-        found.near[crop.slices] |= np.asarray(cv2.dilate(near, _BAND), dtype=np.uint8) > 0
-        found.keep[crop.slices] |= inside & core
-        bare[crop.slices] |= inside & ~core
+            read = region.polygon.because == "detected" and 2 * int(before[inside].sum()) > int(inside.sum())
+            near = np.zeros_like(before) if read else before
+            core = np.asarray(cv2.erode(near, _BAND, borderValue=1), dtype=np.uint8) > 0
+            found.near[crop.slices] |= np.asarray(cv2.dilate(near, _BAND), dtype=np.uint8) > 0
+            found.keep[crop.slices] |= inside & core
+            bare[crop.slices] |= inside & ~core
     # Of two poses left open, or a pose and a detection, both must say so.
     np.logical_and(found.keep, ~bare, out=found.keep)
     return found if found.near.any() else None
+
+
+def _by_surface(regions: Sequence[Region]) -> list[list[Region]]:
+    """A marker that was detected and that a pose places is two regions of one surface: depth is asked once."""
+    groups: dict[int, list[Region]] = {}
+    for region in regions:
+        groups.setdefault(id(region if region.surface is None else region.surface), []).append(region)
+    return list(groups.values())
 
 
 def _nearer(surface: Surface | None, depth: DepthPicture, crop: Crop) -> NDArray[np.uint8]:
@@ -66,16 +81,17 @@ def _nearer(surface: Surface | None, depth: DepthPicture, crop: Crop) -> NDArray
     if surface is None or surface.depth_row is None:
         return np.zeros((crop.bottom - crop.top, crop.right - crop.left), dtype=np.uint8)
     values = depth.values[crop.slices]
-    filled = np.where(values == 0, np.uint16(_FAR), values)
-    smooth = np.asarray(cv2.medianBlur(filled, _PATCH), dtype=np.float64) * depth.unit_mm
-    valid = values > 0
-    apart = np.abs(values * depth.unit_mm - smooth)[valid & (smooth < _FAR * depth.unit_mm)]
-    noise = 1.4826 * float(np.median(apart)) if apart.size else 0.0
+    middle = np.asarray(cv2.medianBlur(np.where(values == 0, np.uint16(_FAR), values), _PATCH), dtype=np.uint16)
+    apart = cv2.absdiff(values, middle)[::_SPARSE, ::_SPARSE]
+    apart = apart[((values > 0) & (middle < _FAR))[::_SPARSE, ::_SPARSE]]
+    noise = 1.4826 * float(np.median(apart)) * depth.unit_mm if apart.size else 0.0
+    smooth = middle * np.float32(depth.unit_mm)
     # On the plane z is linear in its coordinates, which a homography makes a quotient of two forms of the pixel.
     back = np.linalg.inv(surface.to_pixel)
-    u = np.arange(crop.left, crop.right, dtype=np.float64)[None, :]
-    v = np.arange(crop.top, crop.bottom, dtype=np.float64)[:, None]
-    above, below = surface.depth_row @ back, back[2]
+    u = np.arange(crop.left, crop.right, dtype=np.float32)[None, :]
+    v = np.arange(crop.top, crop.bottom, dtype=np.float32)[:, None]
+    scale = back[2] @ [crop.left, crop.top, 1.0]
+    above, below = (np.asarray(row / scale, dtype=np.float32) for row in (surface.depth_row @ back, back[2]))
     with np.errstate(divide="ignore", invalid="ignore"):
         plane = (above[0] * u + above[1] * v + above[2]) / (below[0] * u + below[1] * v + below[2])
         slack = np.maximum(NEARER_MM, np.maximum(NEARER_SHARE * plane, NEARER_SIGMA * noise))

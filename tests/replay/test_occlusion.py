@@ -11,8 +11,8 @@ from services.label.occlusion import DepthPicture, look
 from services.label.visibility import viewing_angle
 from tests.replay.scenes import APART, BOXES, CAMERA, FAMILY
 
-VIEWS = 16
-FINE = 40
+VIEWS = 10
+FINE = 24
 
 
 def hand_before(box: Box, pose: Pose, random: np.random.Generator) -> Hand:
