@@ -81,7 +81,7 @@ def test_doubling_keeps_the_pixel_convention(monkeypatch: pytest.MonkeyPatch) ->
 def test_rendered_views_are_found_with_the_right_order(detector_name: str) -> None:
     rng = np.random.default_rng(6)
     detector = open_detector("apriltag_36h11", HERE, detector=detector_name)
-    for marker in range(0, 587, 60):
+    for marker in range(0, 587, 90):
         seen = render(drawing("DICT_APRILTAG_36h11", marker), 50, looking_at(rng, 500), rng)
         (found,) = detector.detect(seen.grey)
         assert found.id == marker

@@ -14,6 +14,8 @@ from common.geometry import Box, BoxSide, CameraModel, MarkerOnSide, Pose
 from common.markers import family
 from common.messages import DetectedMarker
 from services.label.labelling import Labeller
+from tests.support.rendered_marker import MATRIX, SIZE, drawing, render
+from tests.support.rendered_marker import looking_at as view_of
 from tests.unit.services.label.test_regions import plain_scene
 from tests.unit.services.label.truth import (
     BOX,
@@ -245,3 +247,25 @@ def test_what_is_in_view_but_has_no_pose_is_missing_in_a_stream_but_not_alone():
     result = service.label([broken, *seen(0, pose=POSE)], CAMERA, "cam0", 0)
     assert [(item.object, item.reason, item.seen_ms_ago) for item in result.missing] == [("box-2", "bad_pose", None)]
     assert labeller(BOX, TWIN).label_once([broken, *seen(0, pose=POSE)], CAMERA).missing == ()
+
+
+def test_a_lone_marker_whose_corner_is_covered_is_never_wrong_and_sure():
+    """A thumb over a corner leads the detector's lines astray; what the picture doesn't bear out widens the bar."""
+    random, right = np.random.default_rng(31), []
+    camera = CameraModel(*SIZE, MATRIX, np.zeros(5))
+    lone = Box("lone", "box", BOX.size_mm, (BoxSide("front", "front", (MarkerOnSide(4, 50, 10),)),))
+    on_box = lone.marker_pose(*lone.markers()[0])
+    for corner, (inwards, radius) in enumerate([(0.02, 8), (0.1, 14), (0.3, 30), (0.4, 40)]):
+        placed = view_of(random, 450, 35)
+        picture = render(drawing("DICT_APRILTAG_36h11", 4), 50, placed, random)
+        towards = picture.corners.mean(axis=0) - picture.corners[corner]
+        at = picture.corners[corner] + inwards * towards
+        grey = cv2.circle(picture.grey.copy(), (round(at[0]), round(at[1])), radius, 150, -1)
+        astray = picture.corners.copy()
+        astray[corner] += 0.15 * towards
+        marker = DetectedMarker(id=4, corners=tuple(map(tuple, astray.tolist())), kind="edges")
+        (label,) = Labeller((lone,), FAMILY, PoseConfig()).label_once([marker], camera, grey).objects
+        off = np.degrees(Pose.from_label(label.pose).angle_to(Pose(*placed).after(on_box.inverse())))
+        right.append(off < 0.5)
+        assert label.quality.ambiguous or off < 3 * label.quality.uncertainty.rotation_deg
+    assert sum(right) >= 2

@@ -62,8 +62,8 @@ def test_a_gamma_does_not_shrink_the_black_square() -> None:
 
 def test_lens_distortion_is_taken_into_account() -> None:
     camera = CameraModel(*SIZE, MATRIX, LENS)
-    with_lens = errors(300, 3, camera, distortion=LENS)
-    without = errors(300, 3, distortion=LENS)
+    with_lens = errors(380, 2, camera, distortion=LENS)
+    without = errors(380, 2, distortion=LENS)
     assert with_lens.mean() < 0.02
     assert without.mean() > 2 * with_lens.mean()
 

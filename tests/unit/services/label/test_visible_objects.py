@@ -1,7 +1,9 @@
 from __future__ import annotations
 
+import numpy as np
+
 from common.geometry import Box, BoxSide, MarkerOnSide
-from services.label.visible_objects import SeenMarker, left_out, not_detected, sort_markers
+from services.label.visible_objects import SeenMarker, doubted, left_out, not_detected, sort_markers
 from tests.unit.services.label.truth import BOX, detected
 
 TWIN = Box("box-2", "box", (400.0, 300.0, 200.0), (BoxSide("front", "front", (MarkerOnSide(10, 50, 10),)),))
@@ -68,3 +70,13 @@ def test_entries_of_what_was_left_out():
     assert (entry.marker, entry.reason, entry.object) == (0, "duplicate_marker", "box-1")
     assert entry.corners == seen.seen.corners
     assert not_detected(marker, BOX).corners is None
+
+
+def test_a_doubted_corner_counts_for_less_than_the_others() -> None:
+    side, marker = BOX.markers()[0]
+    seen = SeenMarker(side, marker, detected(0, [(0, 0)] * 4, "edges"))
+    covariance = doubted(seen, (0.0, 0.0, 10.0, 0.1)).covariance
+    sigma = np.sqrt(np.diag(covariance)).reshape(4, 2)
+    np.testing.assert_allclose(sigma[:2], seen.noise_px)
+    np.testing.assert_allclose(np.hypot(*sigma[2]), 10.0, rtol=0.01)
+    assert sigma[3].max() < 0.15
