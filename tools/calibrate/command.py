@@ -73,7 +73,7 @@ def run(args: argparse.Namespace) -> int:
         words, reasons = judge_measured(outcome.solution, *measured)
         told.append(words)
         outcome = replace(outcome, verdict=verdict(outcome.verdict.reasons, reasons))
-    if measured is None:
+    if measured is None and outcome.solution is not None:
         told.append(HONEST)
     return _finish(args, board, outcome, misses, found, told)
 
@@ -114,7 +114,8 @@ def _gather(args: argparse.Namespace) -> tuple[Board, list[View], list[Miss], bo
 
 def _calibrated(args: argparse.Namespace, views: Sequence[View], misses: Sequence[Miss]) -> Outcome:
     models = tuple(args.model or ALL_MODELS)
-    with Progress(console=Console(stderr=True), transient=True, disable=args.json) as progress:
+    console = Console(stderr=True)
+    with Progress(console=console, transient=True, disable=args.json or not console.is_terminal) as progress:
         task = progress.add_task("comparing lens models", total=steps(models))
         return calibrate(
             views,
@@ -169,7 +170,10 @@ def _finish(
         print(json.dumps(out))
     else:
         print("\n".join(said(outcome, misses, told)))
-        print(f"written: {found.file}" if written else f"not written: {found.file} (--anyway writes it)")
+        if written:
+            print(f"written: {found.file}")
+        elif solution is not None:
+            print(f"not written: {found.file} (--anyway writes it)")
         print(f"report:  {found.report}")
     return EXIT_OK if good else EXIT_REFUSED
 

@@ -56,7 +56,8 @@ def _parameters(page: Page, solution: Solution) -> None:
 
 
 def _percent(value: float, spread: float) -> str:
-    return f"{100 * spread / abs(value):.2g} %" if abs(value) > 1e-12 else ""
+    """Of the focal length and the centre; for a coefficient near 0 it says nothing."""
+    return f"{100 * spread / abs(value):.2f} %" if abs(value) > 10 else ""
 
 
 def _models(page: Page, solution: Solution) -> None:

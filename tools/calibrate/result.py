@@ -13,7 +13,7 @@ import numpy as np
 from common.boards import Board
 from common.calibration import Miss, Outcome, Solution, View, view_from
 from common.config.quality import Quality
-from common.errors import RefusedError
+from common.errors import DatasetError, RefusedError
 from common.labels import CameraLabel
 from tools.report.files import write_text
 
@@ -98,9 +98,12 @@ def board_words(board: Board) -> str:
 
 
 def save_views(path: Path, board: Board, views: Sequence[View]) -> None:
-    """Write the views for another run. Raises DatasetError where that can't be done."""
+    """Write the views for another run. Raises RefusedError where that can't be done."""
     document = {"board": board.model_dump(mode="json"), "views": [view.document() for view in views]}
-    write_text(json.dumps(document) + "\n", path)
+    try:
+        write_text(json.dumps(document) + "\n", path)
+    except DatasetError as error:
+        raise RefusedError(f"{error.message}; choose another place with --out") from error
 
 
 def load_views(path: Path) -> tuple[Board, list[View]]:

@@ -26,7 +26,8 @@ def find_views(pictures: Pictures, board: Board, *, window: int | None, quiet: b
     """Look for the board in every picture."""
     finder = BoardFinder(board, window=window)
     found = Found()
-    with Progress(console=Console(stderr=True), transient=True, disable=quiet) as progress:
+    console = Console(stderr=True)
+    with Progress(console=console, transient=True, disable=quiet or not console.is_terminal) as progress:
         task = progress.add_task("looking for the board", total=len(pictures))
         try:
             for name, picture in pictures.read():

@@ -18,7 +18,7 @@ def said(outcome: Outcome, misses: Sequence[Miss], told: Sequence[str]) -> list[
     if outcome.solution is not None:
         lines += _figures(outcome.solution)
     lines += _left_out(outcome, misses)
-    if outcome.verdict.level != "good":
+    if outcome.verdict.level != "good" and outcome.spread.stances:
         lines += [f"next: {wish.words}" for wish in wishes(outcome.spread)[:2]]
     return [*lines, *(f"note: {text}" for text in told)]
 

@@ -126,6 +126,14 @@ def test_ctrl_c_keeps_the_views(
     assert len(json.loads(kept.read_text())["views"]) == 2
 
 
+def test_a_place_that_can_t_be_written_is_told_before_the_work(
+    views: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    (tmp_path / "file").write_text("")
+    assert main(["calibrate", "--views", str(views), "--out", str(tmp_path / "file" / "below")]) == 3
+    assert "can't be written: Not a directory; choose another place with --out" in capsys.readouterr().err
+
+
 @pytest.mark.parametrize(
     ("words", "code", "says"),
     [
