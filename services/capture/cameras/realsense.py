@@ -19,7 +19,8 @@ from common.labels import CameraLabel
 from services.capture.cameras.base import Attached, Description, EndOfStreamError, Grabbed, Stamps
 from services.capture.cameras.intrinsics import known_or_factory
 from services.capture.cameras.pacing import Pacer
-from services.capture.cameras.realsense_geometry import DepthAligner, camera_model
+from services.capture.cameras.realsense_alignment import DepthAligner
+from services.capture.cameras.realsense_geometry import camera_model
 from services.capture.cameras.realsense_modes import COLOUR_FORMATS, DEPTH_FORMATS, Wish, modes_of, summary
 from services.capture.cameras.realsense_sdk import (
     camera_error,

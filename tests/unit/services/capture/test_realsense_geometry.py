@@ -12,7 +12,8 @@ import pytest
 
 from common.errors import ConfigError
 from common.geometry import CameraModel
-from services.capture.cameras.realsense_geometry import DepthAligner, camera_model
+from services.capture.cameras.realsense_alignment import DepthAligner
+from services.capture.cameras.realsense_geometry import camera_model
 from services.capture.cameras.realsense_modes import Wish
 from services.capture.cameras.realsense_streams import RecordedStream
 from tests.support.realsense_recordings import Build, Depth, Lens, record
@@ -80,8 +81,8 @@ def test_as_they_stand_the_coefficients_of_the_inverse_model_would_be_further_of
     assert off[0] * better < off[1]
 
 
-def test_an_unknown_model_is_refused_with_the_way_out() -> None:
-    with pytest.raises(ConfigError, match="ftheta has no counterpart in OpenCV; calibrate it"):
+def test_a_model_that_opencv_doesnt_know_is_refused() -> None:
+    with pytest.raises(ConfigError, match="ftheta has no counterpart in OpenCV"):
         camera_model(Lens(640, 480, 400.0, "ftheta", (0.9, 0, 0, 0, 0)).intrinsics())
 
 
