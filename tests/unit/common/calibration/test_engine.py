@@ -64,3 +64,45 @@ def test_hardly_any_view(count: int) -> None:
     outcome = calibrate(CAMERA.good_views(np.random.default_rng(1), 2)[:count])
     assert outcome.verdict.level == "not yet"
     assert outcome.solution is None
+
+
+def test_ten_views_of_one_corner_of_the_picture() -> None:
+    rng = np.random.default_rng(4)
+    views = [
+        CAMERA.look(
+            rng,
+            f"{n}",
+            tilt=30,
+            towards=36.0 * n,
+            place=np.array([0.14 + 0.02 * (n % 4), 0.15 + 0.03 * (n % 3)]),
+            share=0.2,
+        )
+        for n in range(10)
+    ]
+    outcome = calibrate(views, models=("2",))
+    assert "badly_spread" in codes(outcome)
+    assert "of the picture (upper left): show the board also at its" in outcome.verdict.sentence
+
+
+def test_a_blurred_set() -> None:
+    views = [replace(view, edge_px=9.0) for view in CAMERA.good_views(np.random.default_rng(1), 12)]
+    outcome = calibrate(views, models=("5",))
+    assert codes(outcome) == ["blurred"]
+    assert "12 of 12 views are blurred (edges 9 px wide)" in outcome.verdict.sentence
+
+
+def test_a_view_that_was_moved_is_named_and_left_out() -> None:
+    views = CAMERA.good_views(np.random.default_rng(1), 14)
+    views[5].corners[:] += np.random.default_rng(2).normal(0, 1.0, views[5].corners.shape)
+    outcome = calibrate(views, models=("5",))
+    assert [(item.name, item.code) for item in outcome.dropped] == [("05", "outlier")]
+    assert outcome.verdict.level == "good"
+
+
+def test_single_corners_that_are_misplaced_are_left_out() -> None:
+    views = CAMERA.good_views(np.random.default_rng(1), 14)
+    views[3].corners[7] += 4.0
+    outcome = calibrate(views, models=("5",))
+    assert outcome.dropped == ()
+    assert outcome.solution is not None
+    assert outcome.solution.dropped_corners == {"03": 1}
