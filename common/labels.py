@@ -218,6 +218,20 @@ class SampleFiles(Part):
     original: StoredFile | None = None
 
 
+class PairLabel(Part):
+    """The frames of several cameras that `record --camera all` took together.
+
+    ``reference``: the camera whose frame the others' had to be nearest to; ``offset_ms``: this frame's time minus that
+    one's; ``spread_ms``: from the first to the last of all. ``samples``: camera to sample name; one that was refused
+    at the last has no files.
+    """
+
+    reference: str
+    offset_ms: float
+    spread_ms: float
+    samples: dict[str, str]
+
+
 class Label(Part):
     """The label file (``label_<sample>.json``); on its way to the store ``files`` is still None."""
 
@@ -241,5 +255,6 @@ class Label(Part):
     inpainted: Erased
     complete: bool = True
     missing: tuple[Missing, ...] = ()
+    pair: PairLabel | None = None
     files: SampleFiles | None = None
     versions: dict[str, str]

@@ -53,7 +53,7 @@ RecordingPhase = Literal["running", "finishing", "ended", "interrupted"]
 
 
 class RecordingSpec(Part):
-    """What was asked for."""
+    """What was asked for. ``spread_ms``: how far apart in time the frames are that several cameras took together."""
 
     recording: str
     mode: RecordingMode
@@ -62,6 +62,7 @@ class RecordingSpec(Part):
     until_count: int | None = None
     background: bool = False
     started_at: str
+    spread_ms: float | None = None
 
 
 class Ledger(Part):

@@ -6,7 +6,7 @@ from typing import Literal
 
 from pydantic import BaseModel, ConfigDict
 
-from common.labels import Label, Part
+from common.labels import Label, PairLabel, Part
 from common.ledgers import CameraLedger, Ledger, RecordingSpec
 from common.messages.samples import SampleFilter, SampleList
 
@@ -46,7 +46,8 @@ class Answer(BaseModel):
 class RecordOrder(Order):
     """Record ``count`` fitting frames of one camera; the answer comes when all are durable or time is up.
 
-    Only frames captured after ``since_mono_ns`` fit, or just ``frame`` (still in the ring).
+    Only frames captured after ``since_mono_ns`` fit, or just ``frame`` (still in the ring). ``pair``: what other
+    cameras' frames are taken together with that one.
     """
 
     kind: Literal["record"] = "record"
@@ -58,6 +59,7 @@ class RecordOrder(Order):
     since_mono_ns: int = 0
     frame: int | None = None
     background: bool = False
+    pair: PairLabel | None = None
 
 
 class StartOrder(Order):

@@ -172,8 +172,9 @@ COMMANDS: dict[str, Row] = {
             "record",
             RecordCommand,
             "the first fitting frames captured from now on; answers once all are durable, or when time is up",
-            "recording, samples (names that are durable), pending (names whose saving is under way), cameras "
-            "(with 'all': camera to the reason why it failed)",
+            "recording, samples (names that are durable), pending (names whose saving is under way), pairs (what "
+            "several cameras took together: spread_ms, samples by camera), recordings (an id for each round of "
+            "theirs), cameras (with 'all': camera to the reason why it failed)",
             (
                 *_LABEL,
                 *("no_camera", "no_object", "ambiguous_pose", "incomplete", "object_in_view", "no_frame", "frame_gone"),

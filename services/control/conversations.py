@@ -39,10 +39,14 @@ class Errand:
 
 @dataclass(frozen=True, slots=True)
 class Batch:
-    """Errands at once; their answers come back in the same order, each with an error where nothing came in time."""
+    """Errands at once; their answers come back in the same order, each with an error where nothing came in time.
+
+    With ``ready`` it is also waited for that to come true, or for the time to be up.
+    """
 
     errands: tuple[Errand, ...]
     timeout_s: float
+    ready: Callable[[], bool] | None = None
 
 
 Answers = tuple[Answer, ...]
@@ -80,7 +84,8 @@ class _Waiting(Generic[Client]):
 
     @property
     def complete(self) -> bool:
-        return len(self.answers) == len(self.batch.errands)
+        ready = self.batch.ready
+        return len(self.answers) == len(self.batch.errands) and (ready is None or ready())
 
 
 class Conversations(Generic[Client]):
@@ -93,6 +98,7 @@ class Conversations(Generic[Client]):
         self._messenger = messenger
         self._reply = reply
         self._open: set[_Waiting[Client]] = set()
+        self._watching: set[_Waiting[Client]] = set()
         self._by_key: dict[str, _Waiting[Client]] = {}
         self._deadlines: list[tuple[int, int, _Waiting[Client], Batch]] = []
         self._tie = itertools.count()
@@ -123,7 +129,10 @@ class Conversations(Generic[Client]):
             self._resume(waiting, self._collected(waiting))
 
     def tick(self) -> None:
-        """Resume those whose time is up; orders without an answer get the error ``timeout``."""
+        """Resume those whose time is up (orders without an answer get the error ``timeout``) or who are ready."""
+        for waiting in [item for item in self._watching if item.complete]:
+            self._watching.discard(waiting)
+            self._resume(waiting, self._collected(waiting))
         now = clock.monotonic_ns()
         while self._deadlines and self._deadlines[0][0] <= now:
             _, _, waiting, batch = heapq.heappop(self._deadlines)
@@ -156,6 +165,8 @@ class Conversations(Generic[Client]):
             if not waiting.complete:
                 deadline = clock.monotonic_ns() + int(batch.timeout_s * 1e9)
                 heapq.heappush(self._deadlines, (deadline, next(self._tie), waiting, batch))
+                if batch.ready is not None:
+                    self._watching.add(waiting)
                 return None
             answers = self._collected(waiting)
 
@@ -182,6 +193,7 @@ class Conversations(Generic[Client]):
 
         Lasting ones stay with the messenger; their answers come late.
         """
+        self._watching.discard(waiting)
         for errand in waiting.batch.errands:
             if self._by_key.pop(errand.order.key, None) is not None and not errand.lasting:
                 self._messenger.forget(errand.peer, errand.order.key)
@@ -192,6 +204,7 @@ class Conversations(Generic[Client]):
 
     def _end(self, waiting: _Waiting[Client], answer: Plain) -> None:
         self._open.discard(waiting)
+        self._watching.discard(waiting)
         self._finish(waiting.client, answer)
 
     def _finish(self, client: Client, answer: Plain) -> None:

@@ -14,7 +14,6 @@ from common.messages import (
     ErrorInfo,
     LedgerQuery,
     PreviewOrder,
-    RecordOrder,
     StartOrder,
     StopOrder,
 )
@@ -30,6 +29,7 @@ from services.control.conversations import Answers, Batch, Errand, Keys, Plain, 
 from services.control.peers import STORE
 from services.control.recordings import join
 from services.control.stack import Stack
+from services.control.together import Together
 
 NO_RECORDING = "no_recording"
 START_S = 5.0
@@ -38,8 +38,6 @@ LEDGER_S = 5.0
 DELETED_S = 1.0
 PREVIEW_S = 3.0
 PREVIEW_LEASE_S = 5.0
-AFTER_TIMEOUT_S = 2.0
-"""A label process answers at its own deadline; so much later control answers for it."""
 
 
 class RecordHandlers:
@@ -50,40 +48,23 @@ class RecordHandlers:
         self._keys = keys
 
     def record(self, command: RecordCommand) -> Talk:
-        """One order a camera; ok only if each camera gave all its samples."""
+        """Ok only if each camera gave all its samples; several cameras' are taken together where that can be."""
         self._stack.refuse_while_reloading()
         cameras = self._stack.chosen(command.camera)
-        recording = new_recording(clock.wall_ns())
-        since = clock.monotonic_ns()
-        orders = tuple(
-            Errand(
-                self._stack.label_of(camera),
-                RecordOrder(
-                    key=self._keys.new("record"),
-                    recording=recording,
-                    camera=camera,
-                    count=command.count,
-                    interval_s=command.interval_s,
-                    timeout_s=command.timeout_s,
-                    since_mono_ns=since,
-                    frame=command.frame,
-                    background=command.background,
-                ),
-            )
-            for camera in cameras
-        )
         several = command.count * len(cameras) > 1
         self._stack.requests += several
         try:
-            answers = yield Batch(orders, command.timeout_s + AFTER_TIMEOUT_S)
+            outcome = yield from Together(self._stack, self._keys, command).run(cameras)
         finally:
             self._stack.requests -= several
         stored: dict[str, Any] = {
-            "recording": recording,
-            "samples": sorted({name for answer in answers for name in answer.samples}),
-            "pending": sorted({name for answer in answers for name in answer.pending}),
+            "recording": outcome.recordings[0],
+            "recordings": outcome.recordings,
+            "samples": sorted({name for samples in outcome.stored.values() for name in samples}),
+            "pending": sorted(outcome.pending),
+            "pairs": outcome.pairs,
         }
-        failed = {camera: self._explained(camera, error) for camera, error in _failed(cameras, answers).items()}
+        failed = {camera: self._explained(camera, error) for camera, error in outcome.failed.items()}
         if not failed:
             return stored
         return refusal(*_summary(command.camera, failed), **stored, cameras=_plain_errors(failed))

@@ -1,6 +1,6 @@
 """The control process: the bus between all services, the command socket, the roll-call.
 
-Consumes  CAMERA, SERVICE, RECORDING; requests on the command socket.
+Consumes  CAMERA, SERVICE, RECORDING, LABELS (when frames were taken); requests on the command socket.
 Produces  SHARES at 1 Hz; orders to label and store; one answer to each request.
 States    running. What others lack is theirs to say; `status` shows it.
 """
@@ -16,7 +16,7 @@ from common.errors import RefusedError
 from common.messages import ServiceState, Shares
 from common.service import Context, Report
 from common.service.meters import Rate, Tally
-from common.topics import CAMERA, RECORDING, SERVICE, SHARES
+from common.topics import CAMERA, LABELS, RECORDING, SERVICE, SHARES
 from services.control.commands import Command, HelpCommand, StatusCommand, command_name
 from services.control.conversations import MAX_WAITING, Conversations, Keys, Plain, Talk, refusal, refusal_of
 from services.control.parsing import parse
@@ -82,7 +82,7 @@ class ControlService:
         self._conversations: Conversations[Return | None] = Conversations(self._peers, self._answer)
         self._publisher = Publisher(endpoints, context.id, context.boot)
         self._subscriber = Subscriber(endpoints)
-        for topic in (CAMERA, SERVICE, RECORDING):
+        for topic in (CAMERA, LABELS, SERVICE, RECORDING):
             self._subscriber.subscribe(topic)
         self._poller = Poller(self._commands, self._subscriber, *self._peers.clients)
 

@@ -12,8 +12,9 @@ from common.bus import Endpoints
 from common.config import Rig
 from common.errors import RefusedError
 from common.ledgers import Ledger
-from common.messages import CameraState, Message, RecordingState, ServiceState, Shares
+from common.messages import CameraState, Labels, Message, RecordingState, ServiceState, Shares
 from services.control.commands import ALL_CAMERAS
+from services.control.moments import Moments
 from services.control.recordings import Recordings
 from services.control.roll_call import RollCall, expected_services
 from services.control.shares import Sharing
@@ -45,6 +46,7 @@ class Stack:
         self.endpoints = endpoints
         self.roll_call = RollCall()
         self.recordings = Recordings()
+        self.moments = Moments()
         self.cameras: dict[str, SeenCamera] = {}
         self.session = rig.config.dataset.session
         self.surveyed_boot = ""
@@ -65,6 +67,8 @@ class Stack:
                 self._detect.learn(message.instance, message.cameras)
             elif message.service.startswith("label."):
                 self._label.learn(message.instance, message.cameras)
+        elif isinstance(message, Labels):
+            self.moments.hear(message)
         elif isinstance(message, RecordingState):
             self.recordings.hear(message, source, now_ns, self.roll_call.beats(source))
 

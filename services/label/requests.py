@@ -147,6 +147,7 @@ class Request:
             until_count=self.order.count,
             background=self.order.background,
             started_at=self.started_at,
+            spread_ms=None if self.order.pair is None else self.order.pair.spread_ms,
         )
 
 

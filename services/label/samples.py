@@ -227,6 +227,7 @@ def _kind(ring: SampleRing) -> tuple[int, int, bool, bool]:
 
 def _label(sample: Sample, result: Finished, session: str, others: tuple[SourceDetections, ...]) -> Label:
     ref = sample.ref
+    pairs = (taker.order.pair for taker in sample.takers if isinstance(taker, Request) and taker.order.pair)
     return Label(
         sample=sample.name,
         session=session,
@@ -247,5 +248,6 @@ def _label(sample: Sample, result: Finished, session: str, others: tuple[SourceD
         inpainted=result.inpainted,
         complete=not result.missing,
         missing=result.missing,
+        pair=next(pairs, None),
         versions={"tagmill": VERSION, "opencv": str(cv2.__version__)},
     )

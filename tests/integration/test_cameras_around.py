@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import json
 from pathlib import Path
 from typing import Any
 
@@ -10,7 +11,8 @@ import pytest
 from common.bus import Endpoints
 from common.config.models import NetworkConfig
 from common.dataset import SessionReader
-from tests.support.stack import ROOT, wait_for, write_rig
+from common.topics import LABELS
+from tests.support.stack import ROOT, Listener, wait_for, write_rig
 from tests.support.supervised import DEADLINE_S, OBJECT, SupervisedStack, check_session, run_module, supervised
 from tests.support.unpluggable import install
 from tools.stack.programs import SOCKET_FILE
@@ -133,3 +135,51 @@ def test_another_rate_or_size_takes_a_restart_of_that_capture_process_only(tmp_p
         labels = [reader.label(sample) for sample in reader.samples()]
         sizes[name] = {(label.camera.width, label.camera.height) for label in labels}
     assert sizes == {"test": {(320, 240)}, "larger": {(400, 300)}}
+
+
+TWO = """\
+dataset: {root: ./dataset, session: test}
+workers: {label: 2}
+cameras:
+  cam0: {driver: synthetic, width: 320, height: 240, fps: 4, prerendered: 4}
+  cam1: {driver: synthetic, width: 320, height: 240, fps: 11, seed: 2, prerendered: 4}
+"""
+
+
+def test_record_on_all_cameras_takes_the_frames_nearest_in_time_and_says_how_near(tmp_path: Path) -> None:
+    rig = write_rig(tmp_path, TWO + OBJECT)
+    with supervised(rig, "cam0", "cam1") as stack:
+        shares = stack.status()["shares"]["label"]
+        assert len(set(shares.values())) == 2, "each camera has a label process of its own"
+        listener = Listener(Endpoints.of(NetworkConfig()), LABELS)
+        try:
+            listener.wait_for(lambda received: received.message.ref.camera == "cam0")
+            listener.wait_for(lambda received: received.message.ref.camera == "cam0")
+            answer = stack.ask(command="record", camera="all", count=3, timeout_s=DEADLINE_S)
+            listener.wait_for(lambda received: received.message.ref.camera == "cam0")
+        finally:
+            listener.close()
+    assert answer["ok"], answer
+    assert len(answer["samples"]) == 6
+    assert len(answer["pairs"]) == 3
+    heard: dict[str, dict[int, int]] = {"cam0": {}, "cam1": {}}
+    for received in listener.heard:
+        heard[received.message.ref.camera][received.message.ref.frame] = received.message.ref.captured_mono_ns
+    reader = SessionReader(tmp_path / "dataset" / "test")
+    for pair in answer["pairs"]:
+        labels = {camera: reader.label(sample) for camera, sample in pair["samples"].items()}
+        slow, fast = labels["cam0"], labels["cam1"]
+        assert slow.pair is not None
+        assert fast.pair is not None
+        assert slow.pair.reference == fast.pair.reference == "cam0"
+        assert slow.pair.samples == fast.pair.samples == pair["samples"]
+        apart_ns = fast.captured_mono_ns - slow.captured_mono_ns
+        assert abs(apart_ns) == min(abs(at - slow.captured_mono_ns) for at in heard["cam1"].values())
+        assert (slow.pair.offset_ms, fast.pair.offset_ms) == (0.0, apart_ns / 1e6)
+        assert slow.pair.spread_ms == fast.pair.spread_ms == abs(apart_ns) / 1e6
+        assert pair["spread_ms"] == round(abs(apart_ns) / 1e6, 3)
+    lines = [json.loads(line) for line in (reader.folder / "records.jsonl").read_text().splitlines()]
+    assert sorted(line["spec"]["spread_ms"] for line in lines) == sorted(
+        label.pair.spread_ms for label in map(reader.label, answer["samples"]) if label.pair
+    )
+    check_session(reader.folder)

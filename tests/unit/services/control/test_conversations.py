@@ -182,3 +182,26 @@ def test_an_order_that_takes_something_back_goes_to_a_silent_peer_and_is_not_for
     assert room.post.forgotten == []
     room.all.arrived(Answer(key="back"))
     assert room.all.late == 1
+
+
+def test_a_talk_may_wait_for_something_to_come_true_and_not_for_ever(room: Room, now: list[int]) -> None:
+    true: list[bool] = []
+
+    def waits() -> Talk:
+        yield Batch((), 2.0, ready=lambda: bool(true))
+        return {"came": bool(true)}
+
+    room.all.begin("patient", waits())
+    room.all.begin("late", waits())
+    room.all.tick()
+    assert room.answers == {}
+    now[0] = 2_000_000_001
+    room.all.tick()
+    assert [answer["came"] for client in ("patient", "late") for answer in room.answers[client]] == [False, False]
+    room.all.begin("lucky", waits())
+    true.append(True)
+    room.all.tick()
+    room.all.tick()
+    room.all.begin("at once", waits())
+    assert [answer["came"] for client in ("lucky", "at once") for answer in room.answers[client]] == [True, True]
+    assert room.all.waiting == 0
