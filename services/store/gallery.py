@@ -76,8 +76,8 @@ class Gallery:
     def move(self, return_: Return, order: MoveOrder) -> None:
         """Move samples to the bin or back; answered once that is durable. Raises RefusedError."""
         session = self._keeper.require_session()
-        known = self._keeper.samples | self._keeper.binned
-        if unknown := [sample for sample in order.samples if sample not in known]:
+        stored, binned = self._keeper.samples, self._keeper.binned
+        if unknown := [sample for sample in order.samples if sample not in stored and sample not in binned]:
             raise no_sample(session.folder, unknown)
         self.busy += 1
         self._disk.submit(
@@ -104,13 +104,13 @@ class Gallery:
         self._answer(return_, Answer(key=order.key, samples=tuple(dict.fromkeys(order.samples))))
 
     def _changed(self, session: OpenSession, what: What, samples: tuple[str, ...]) -> None:
+        self.follow()
         index = self._index
 
         def refresh() -> None:
             for sample in samples:
                 index.refresh(sample)
 
-        self.follow()
         self._reader.submit(refresh, _raise_bugs)
         self._tell(session.book.name, what, samples)
 
@@ -126,6 +126,7 @@ class Gallery:
 
     def list(self, return_: Return, order: ListOrder, root: Path) -> None:
         """List samples of the open session, or of another below ``root``; raises RefusedError."""
+        self.follow()  # what waited for the opening comes before the round's end
         session = self._keeper.session
         if order.session is None:
             session = self._keeper.require_session()
@@ -144,7 +145,6 @@ class Gallery:
                 answer = Answer(key=order.key, error=_info(error, folder or root))
             self._answer(return_, answer)
 
-        self.follow()
         self._reader.submit(page, listed)
 
     def _read_other(self, folder: Path) -> SampleIndex:

@@ -170,7 +170,7 @@ class StoreService:
         return Report(
             cameras=tuple(sorted(desk.cameras)),
             rates={"stored": desk.stored.per_second()},
-            dropped=desk.refused.as_dict(),
+            dropped=desk.refused.as_dict() | ({"bus_full": lost} if (lost := self._publisher.dropped) else {}),
             numbers=numbers,
             texts={} if keeper.book is None else {"session": keeper.book.name},
             last_error=None if problem is None else problem.message,

@@ -7,6 +7,7 @@ from pathlib import Path
 
 from common.dataset import LABELS, SESSION_FILE, SessionFile, SessionReader, label_path
 from common.dataset.bin import bin_of, labelled
+from common.dataset.durable import temporary_path
 from common.labels import Label
 from services.store.sample import write_sample
 from tests.support.samples import label_for, pixels
@@ -44,7 +45,8 @@ def places(session: Path) -> dict[str, str]:
             files += 1 + sum(
                 part is not None for part in json.loads((folder / label_path(sample)).read_text())["files"].values()
             )
-    beside = (SESSION_FILE, "records.jsonl", "removed.jsonl")
+    # A store that runs may be writing the ledger just now.
+    beside = (SESSION_FILE, temporary_path(session / SESSION_FILE).name, "records.jsonl", "removed.jsonl")
     there = [path for path in session.rglob("*") if path.is_file() and path.name not in beside]
     assert len(there) == files, f"{len(there)} files, {files} named by labels: {there}"
     return found

@@ -13,7 +13,7 @@ from common.config import load_rig
 from common.config.models import NetworkConfig
 from common.errors import RefusedError
 from common.messages import Answer, ErrorInfo
-from services.control.commands import RecordCommand, ReloadCommand, SessionCommand, StartCommand
+from services.control.commands import RecordCommand, ReloadCommand, SessionCommand, StartCommand, UndoCommand
 from services.control.conversations import Keys, Talk
 from services.control.service import handlers
 from services.control.stack import SETTLE_AT_LATEST_NS, Stack
@@ -98,3 +98,17 @@ def test_frames_that_nobody_looks_at_are_told_from_a_camera_without_frames(
     error = end(record, Answer(key="k", error=ErrorInfo(code="no_frame", message="no frame came")))["error"]
     assert error["code"] == told
     assert ("detect.0" in error["message"]) is (told == "detect_down")
+
+
+def test_a_second_undo_is_refused_until_the_first_has_its_answer(stack: Stack) -> None:
+    undo = handlers(stack, Keys("b"))["undo"]
+    first = undo(UndoCommand())
+    next(first)
+    assert refused(undo(UndoCommand())) == "busy"
+    move = first.send((Answer(key="k", samples=("a",)),))
+    assert [errand.order.samples for errand in move.errands] == [("a",)], "the very one that was named"  # type: ignore[attr-defined]
+    assert end(first, Answer(key="k", samples=("a",))) == {"samples": ["a"]}
+    again = undo(UndoCommand())
+    next(again)
+    again.close()
+    next(undo(UndoCommand()))
