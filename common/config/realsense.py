@@ -6,6 +6,7 @@ from pathlib import Path
 from typing import Annotated, Any, Literal
 
 from pydantic import Field, ValidationInfo, field_validator
+from pydantic_core import PydanticCustomError
 
 from common.config.section import Section
 
@@ -43,7 +44,7 @@ class RealSenseOptions(Section):
     @classmethod
     def _of_a_recording(cls, value: Any, info: ValidationInfo) -> Any:
         if info.data.get("recording") is None:
-            raise ValueError("belongs to a `recording`; an attached camera sends as it comes")
+            raise PydanticCustomError("said", "belongs to a `recording`; an attached camera sends as it comes")
         return value
 
     @field_validator(
@@ -63,7 +64,7 @@ class RealSenseOptions(Section):
     @classmethod
     def _of_a_camera(cls, value: Any, info: ValidationInfo) -> Any:
         if info.data.get("recording") is not None:
-            raise ValueError("belongs to an attached camera; in a recording it can't be changed any more")
+            raise PydanticCustomError("said", "belongs to an attached camera; a recording can't be changed any more")
         return value
 
     @field_validator("gain", "depth_gain")
@@ -71,12 +72,14 @@ class RealSenseOptions(Section):
     def _with_its_exposure(cls, value: float | None, info: ValidationInfo) -> float | None:
         exposure = f"{info.field_name}".replace("gain", "exposure")
         if value is not None and exposure in info.data and info.data[exposure] is None:
-            raise ValueError(f"needs `{exposure}` too: while exposure is automatic, so is gain")
+            raise PydanticCustomError(
+                "said", "needs `{exposure}` too: while exposure is automatic, so is gain", {"exposure": exposure}
+            )
         return value
 
     @field_validator("depth_size", "depth_exposure", "laser_power", "emitter", "preset")
     @classmethod
     def _with_depth(cls, value: Any, info: ValidationInfo) -> Any:
         if value is not None and info.data.get("depth") is False:
-            raise ValueError("is of the depth sensor, which `depth: false` leaves off")
+            raise PydanticCustomError("said", "is of the depth sensor, which `depth: false` leaves off")
         return value

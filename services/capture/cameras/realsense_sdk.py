@@ -2,10 +2,10 @@
 
 from __future__ import annotations
 
-from pathlib import Path
 from typing import Any
 
 from common.errors import CameraError, ConfigError
+from services.capture.usb import RULE, plugged
 
 try:
     import pyrealsense2 as rs
@@ -16,13 +16,9 @@ except ImportError as error:
         ) from error
     raise
 
-__all__ = ["USB_DEVICES", "camera_error", "find_device", "info_of", "on_usb_2", "rs", "title_of", "unreadable"]
+__all__ = ["camera_error", "find_device", "info_of", "on_usb_2", "rs", "title_of"]
 
-USB_DEVICES = Path("/sys/bus/usb/devices")
-UDEV_CURE = (
-    "install librealsense's udev rules (99-realsense-libusb.rules) to /etc/udev/rules.d, "
-    "run `udevadm control --reload-rules` and plug it in again"
-)
+UDEV_CURE = f"copy {RULE} to /etc/udev/rules.d, run `sudo udevadm control --reload` and plug it in again"
 _ACCESS = ("permission", "access", "rs2_usb_status_access")
 _BUSY = ("busy", "already opened", "already in use", "rs2_usb_status_busy")
 
@@ -60,20 +56,8 @@ def find_device(context: Any, serial: str | None) -> Any:
         return devices[serials.index(serial)]
     wanted = "no RealSense camera is attached" if serial is None else f"no RealSense camera {serial} is attached"
     others = f" (attached: {', '.join(sorted(serials))})" if serials else ""
-    shut = unreadable() if not devices else ""
-    raise CameraError(f"{wanted}{others}; {shut or 'check its cable and power, and that it is on a USB 3 port'}")
-
-
-def unreadable(folder: Path = USB_DEVICES) -> str:
-    """What to do about a RealSense that is on the bus although the SDK shows none; empty if none is there."""
-    for product in sorted(folder.glob("*/product")):
-        try:
-            text = product.read_text(errors="replace").strip()
-        except OSError:
-            continue  # unplugged just now
-        if "realsense" in text.lower():
-            return f"'{text}' is on the USB bus but may not be opened: {UDEV_CURE}"
-    return ""
+    seen = next((one.hint for one in plugged("realsense") if one.hint and not devices), "")
+    raise CameraError(f"{wanted}{others}; {seen or 'check its cable and power, and that it is on a USB 3 port'}")
 
 
 def camera_error(what: str, error: RuntimeError) -> CameraError:

@@ -17,7 +17,7 @@ from common.config import Rig, load_rig
 from common.errors import CameraError, ConfigError
 from services.capture.cameras import realsense
 from services.capture.cameras.realsense import RealSenseCamera, attached
-from services.capture.cameras.realsense_sdk import camera_error, unreadable
+from services.capture.cameras.realsense_sdk import camera_error
 from tests.support.realsense_recordings import Build, Plugged, SoftCamera
 from tests.unit.services.capture.test_registry import ROOT
 
@@ -149,13 +149,13 @@ def test_a_preset_file_that_cant_be_used_is_a_sentence(bench: Bench, tmp_path: P
     [
         ("seriel: x", r"cam0.seriel: unknown key; did you mean 'serial'\?"),
         ("serial: 12345", "serial: must be text, not 12345; write it in quotes"),
-        ("gain: 3", "gain: .*needs `exposure` too"),
-        ("depth_gain: 30", "depth_gain: .*needs `depth_exposure` too"),
+        ("gain: 3", "gain: needs `exposure` too"),
+        ("depth_gain: 30", "depth_gain: needs `depth_exposure` too"),
         ("sync: mastr", "sync: 'mastr' is not allowed; did you mean 'master'"),
-        ("loop: true", "loop: .*belongs to a `recording`"),
-        ("recording: rec.db3, exposure: 3", "exposure: .*belongs to an attached camera"),
+        ("loop: true", "loop: belongs to a `recording`"),
+        ("recording: rec.db3, exposure: 3", "exposure: belongs to an attached camera"),
         ("recording: rec.db3", "recording: there is nothing at .*rec.db3"),
-        ("depth: false, laser_power: 30", "laser_power: .*is of the depth sensor"),
+        ("depth: false, laser_power: 30", "laser_power: is of the depth sensor"),
         ("depth_size: [640]", "depth_size"),
         ("exposure: -1", "exposure: -1 is not allowed; must be at least 0"),
     ],
@@ -184,20 +184,13 @@ def test_nothing_attached_is_an_empty_list() -> None:
     assert attached() == []
 
 
-def test_one_on_the_bus_that_may_not_be_opened_is_told_with_the_cure(tmp_path: Path) -> None:
-    for port, product in (("1-1", "Mouse"), ("2-1", "Intel(R) RealSense(TM) Depth Camera 435\n")):
-        (tmp_path / port).mkdir()
-        (tmp_path / port / "product").write_text(product)
-    told = unreadable(tmp_path)
-    assert told.startswith("'Intel(R) RealSense(TM) Depth Camera 435' is on the USB bus but may not be opened")
-    assert "99-realsense-libusb.rules" in told
-    assert unreadable(tmp_path / "1-1") == ""
-
-
 @pytest.mark.parametrize(
     ("text", "told"),
     [
-        ("failed to open usb interface: 0, error: RS2_USB_STATUS_ACCESS", "no permission .*udev rules"),
+        (
+            "failed to open usb interface: 0, error: RS2_USB_STATUS_ACCESS",
+            "no permission .*70-tagmill-cameras.rules to /etc/udev",
+        ),
         ("xioctl(VIDIOC_S_FMT) failed, errno=16 Last Error: Device or resource busy", "another program uses it"),
         ("something\nelse", "^opening: something else$"),
     ],
