@@ -32,8 +32,8 @@ from common.messages import (
     StopOrder,
 )
 from common.service import Context, Report
-from common.service.meters import Percentiles, Rate, Tally
-from common.topics import CAMERA, DETECTIONS, LABELS, PREVIEW, RECORDING, SERVICE, SHARES
+from common.service.meters import Tally
+from common.topics import CAMERA, DETECTIONS, LABELS, PREVIEW, SERVICE, SHARES
 from services.label.cameras import Camera
 from services.label.finish import Finisher
 from services.label.labelling import Labelled, Labeller
@@ -43,10 +43,10 @@ from services.label.requests import explain
 from services.label.resumption import Resumption
 from services.label.roster import Roster
 from services.label.samples import Samples, Taker
+from services.label.states import Pace, States
 from services.label.streams import Streams
 
 _ORDERS = (RecordOrder, StartOrder, StopOrder, PreviewOrder, ReloadOrder)
-_STATES_EVERY_NS = 1_000_000_000
 _BUSY_WAIT_S = 0.005
 _STORE_WINDOW = 4096
 
@@ -63,10 +63,7 @@ class LabelService:
         self._returns: dict[str, Return] = {}
         self._recorder = Recorder(self._reply, context.boot)
         self._dropped = Tally()
-        self._labelled = Rate()
-        self._latency = Percentiles()
-        self._states_due_ns = 0
-        self._phases: dict[tuple[str, str], str] = {}
+        self._pace = Pace()
         self._draining = False
         self._delay_s = float(os.environ.get("TAGMILL_LABEL_DELAY_MS", "0")) / 1000
 
@@ -83,6 +80,7 @@ class LabelService:
             keep_original=self._rig.config.dataset.keep_original,
         )
         self._publisher = Publisher(endpoints, context.id, context.boot)
+        self._states = States(self._publisher)
         self._previews = Previews(
             endpoints.prefix,
             context.id,
@@ -118,7 +116,7 @@ class LabelService:
         if len(self._store.pending) < _STORE_WINDOW // 2:
             for ledger in self._recorder.ledger_orders():
                 self._store.send(ledger)
-        self._tell_states()
+        self._states.tell(self._recorder)
 
     def drain(self) -> bool:
         """Take nothing new; finish what is under way."""
@@ -143,22 +141,16 @@ class LabelService:
         """What the heartbeat says."""
         return Report(
             cameras=self._roster.names,
-            rates={"labelled": self._labelled.per_second()},
+            rates={"labelled": self._pace.labelled.per_second()},
             dropped=self._dropped.as_dict(),
             numbers={
                 "backlog": float(len(self._samples.under_way)),
-                **self._latency_ms(),
+                **self._pace.latency_ms(),
                 "finisher_restarts": float(self._finisher.restarts),
             },
             faulty=bool(self._samples.under_way) and not self._store.available,
             last_error=None if self._store.available else explain("store_down"),
         )
-
-    def _latency_ms(self) -> dict[str, float]:
-        """From capture to label."""
-        if not len(self._latency):
-            return {}
-        return {f"latency_p{percent}_ms": self._latency.at(percent) / 1e6 for percent in (50, 99)}
 
     # --- orders ---------------------------------------------------------------------------------------
 
@@ -169,7 +161,7 @@ class LabelService:
             case StartOrder():
                 self._recorder.start(order)
                 self._reply(Answer(key=order.key))
-                self._states_due_ns = 0
+                self._states.hurry()
             case StopOrder():
                 if not self._recorder.stop(order.recording, order.camera, order.key):
                     self._refuse(order.key, "no_recording", f"no recording {order.recording} runs on {order.camera}")
@@ -267,8 +259,7 @@ class LabelService:
         )
         self._publisher.publish(LABELS, (camera.name,), labels)
         self._recorder.frame(detections, labelled, partial(self._begin, labelled))
-        self._labelled.mark()
-        self._latency.add(now - detections.ref.captured_mono_ns)
+        self._pace.mark(now - detections.ref.captured_mono_ns)
         if self._previews.watched(camera.name):
             self._previews.begin(camera, detections, self._streams.around(camera, detections), self._finisher)
 
@@ -304,13 +295,3 @@ class LabelService:
                 if ledger.phase == "running" and self._roster.may_serve(camera):
                     order = StartOrder(key=f"resume/{ledger.spec.recording}", spec=ledger.spec, camera=camera)
                     self._recorder.start(order, resumed=account)
-
-    def _tell_states(self) -> None:
-        """RECORDING once a second, and at once when a recording's phase has changed."""
-        now = clock.monotonic_ns()
-        phases = {key: item.phase for key, item in self._recorder.recordings.items()}
-        if now < self._states_due_ns and phases == self._phases:
-            return
-        self._states_due_ns, self._phases = now + _STATES_EVERY_NS, dict(phases)
-        for state in self._recorder.states():
-            self._publisher.publish(RECORDING, (state.camera, state.ledger.spec.recording), state)
