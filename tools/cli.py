@@ -47,6 +47,7 @@ SUB_COMMANDS = (
     SubCommand("help", "tools.commands.help", "the commands of the command socket with their fields"),
     SubCommand("cameras", "tools.cameras.command", "which cameras are attached; how one of them does alone"),
     SubCommand("check", "tools.check", "say all mistakes of a rig file at once"),
+    SubCommand("markers", "tools.markers.command", "print markers and calibration boards at true scale"),
     SubCommand(
         "calibrate", "tools.calibrate.command", "calibrate a camera from pictures of a board, and say how good it is"
     ),

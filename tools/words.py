@@ -65,6 +65,11 @@ WORDS: dict[str, Words] = {
     "damaged": Words("A file of the dataset is damaged.", "Restore it, or go on in a new session."),
     "missing_file": Words("A file of the dataset is missing.", "Restore it, or go on in a new session."),
     "other_schema": Words("The dataset is of another tagmill.", "Use the tagmill that wrote it, or a newer one."),
+    # --- printing ----------------------------------------------------------------------------------------------
+    "bad_board": Words("The board can't be as described.", "'tagmill markers board --help' has what can be chosen."),
+    "paper_too_small": Words("It doesn't fit the paper."),
+    "nothing_to_print": Words("There is nothing to print.", "Give a side of an object its marker in the rig file."),
+    "not_written": Words("The file can't be written.", "Choose another place."),
     # --- recordings and sessions -------------------------------------------------------------------------------
     "no_recording": Words("There is no such recording.", "'tagmill status' lists those that run."),
     "no_session": Words("No session is open.", "'tagmill status' says why; open one with 'tagmill session NAME'."),

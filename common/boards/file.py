@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import contextlib
 import os
 from pathlib import Path
 
@@ -45,5 +46,6 @@ def write_board(path: Path, board: Board) -> None:
         temporary.write_text(text, encoding="utf-8")
         temporary.replace(path)
     except OSError as error:
-        temporary.unlink(missing_ok=True)
+        with contextlib.suppress(OSError):  # what stood in the way of writing may stand in the way of this
+            temporary.unlink(missing_ok=True)
         raise ConfigError(f"{path} can't be written: {error.strerror}; choose another place") from error

@@ -1,0 +1,1 @@
+"""`tagmill markers`: print-ready markers and calibration boards at true scale."""
