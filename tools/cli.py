@@ -108,7 +108,7 @@ def show_error(error: TagmillError, *, as_json: bool) -> None:
         document = {"ok": False, "error": {"code": error.code, "message": error.message}}
         print(json.dumps(document | ({"problems": problems} if problems else {})))
         return
-    from tools.words import words_for
+    from common.words import words_for
 
     words = words_for(error.code)
     print(words.title, file=sys.stderr)

@@ -6,12 +6,12 @@ import sys
 from collections.abc import Iterator
 from pathlib import Path
 
+from common.commands import COMMANDS, GENERAL_ERRORS, Row
 from common.dataset import SCHEMA_PAGE, label_schema_text
 from common.messages import Message
 from common.topics import TOPICS, Topic
-from services.control.commands import COMMANDS, GENERAL_ERRORS, Row
+from common.words import words_for
 from services.control.describe import fields_of, type_words
-from tools.words import words_for
 
 ROOT = Path(__file__).resolve().parents[1]
 TOPICS_PAGE = "docs/reference/topics.md"
@@ -94,7 +94,7 @@ def _type_name(annotation: object) -> str:
 
 
 def commands_page() -> str:
-    """The command socket, from `services/control/commands.py`."""
+    """The command socket, from `common/commands.py`."""
     lines = [
         _MADE,
         "# The command socket",

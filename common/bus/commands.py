@@ -155,6 +155,35 @@ class CommandClient:
         """Where it asks."""
         return self._address
 
+    @property
+    def sockets(self) -> tuple[Socket, ...]:
+        """For the Poller, where several requests are under way at a time."""
+        return () if self._socket.closed else (self._socket,)
+
+    def send(self, request: dict[str, Any]) -> str:
+        """Send one request without waiting; returns the number under which ``receive`` gives its answer.
+
+        Raises NoAnswerError if too many wait to be sent.
+        """
+        number = str(next(self._ids))
+        try:
+            self._socket.send_multipart((number.encode(), b"", msgpack.packb(request, use_bin_type=True)), zmq.NOBLOCK)
+        except zmq.Again as error:
+            raise self._no_answer(0.0) from error
+        return number
+
+    def receive(self) -> list[tuple[str, dict[str, Any]]]:
+        """The answers that are there, by their requests' numbers, without waiting; garbage is answered as such."""
+        found: list[tuple[str, dict[str, Any]]] = []
+        for parts in drain(self._socket, _MAX_DRAIN):
+            if len(parts) == 3:
+                try:
+                    answer = self._plain(parts[2])
+                except CodecError as error:
+                    answer = {"ok": False, "error": {"code": error.code, "message": error.message}}
+                found.append((parts[0].decode("ascii", "replace"), answer))
+        return found
+
     def request(self, request: dict[str, Any], timeout_s: float | None = None) -> dict[str, Any]:
         """Send one request and wait for its answer.
 
@@ -162,20 +191,13 @@ class CommandClient:
         """
         limit_s = self._timeout_s if timeout_s is None else timeout_s
         deadline = clock.monotonic_ns() + int(limit_s * 1e9)
-        number = str(next(self._ids)).encode()
-        try:
-            self._socket.send_multipart((number, b"", msgpack.packb(request, use_bin_type=True)), zmq.NOBLOCK)
-        except zmq.Again as error:
-            raise self._no_answer(limit_s) from error
+        number = self.send(request).encode()
         while (left_ms := (deadline - clock.monotonic_ns()) // 1_000_000) > 0:
             if not self._socket.poll(left_ms, zmq.POLLIN):
                 break
             parts = self._socket.recv_multipart(zmq.NOBLOCK)
             if len(parts) == 3 and parts[0] == number:
-                answer = unpack(parts[2], MAX_ANSWER_BYTES)
-                if not isinstance(answer, dict):
-                    raise CodecError(f"{self._address} answered with something that is no map")
-                return answer
+                return self._plain(parts[2])
         raise self._no_answer(limit_s)
 
     def close(self) -> None:
@@ -187,6 +209,12 @@ class CommandClient:
 
     def __exit__(self, *_: object) -> None:
         self.close()
+
+    def _plain(self, data: bytes) -> dict[str, Any]:
+        answer = unpack(data, MAX_ANSWER_BYTES)
+        if not isinstance(answer, dict):
+            raise CodecError(f"{self._address} answered with something that is no map")
+        return answer
 
     def _no_answer(self, limit_s: float) -> NoAnswerError:
         return NoAnswerError(

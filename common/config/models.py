@@ -96,11 +96,14 @@ class CameraConfig(BaseModel):
 
 
 class NetworkConfig(Section):
-    """Sockets. ``keys`` is a folder of CURVE keys, needed when ``command`` is not on loopback."""
+    """Sockets. ``keys`` is a folder of CURVE keys, needed when ``command`` is not on loopback.
+
+    ``console``: the web page's address, null for none; off loopback it demands the token in its log.
+    """
 
     prefix: Name = "tagmill"
     command: str = "tcp://127.0.0.1:5750"
-    console: str = "http://127.0.0.1:8750"
+    console: str | None = "http://127.0.0.1:8750"
     keys: Path | None = None
 
 

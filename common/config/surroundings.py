@@ -54,7 +54,7 @@ def check_network(tree: Tree, network: NetworkConfig, folder: Path, problems: Pr
         )
     if network.keys is not None and not (folder / network.keys).is_dir():
         note("keys", f"there is no folder {(folder / network.keys).resolve()}; tagmill keys makes one")
-    fault = _console_fault(network.console)
+    fault = _console_fault(network.console) if network.console is not None else ""
     if fault:
         note("console", f"'{network.console}' is no console address: {fault}; e.g. http://127.0.0.1:8750")
 

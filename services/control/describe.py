@@ -7,7 +7,7 @@ from typing import Any, NamedTuple
 
 from pydantic import BaseModel
 
-from services.control.commands import COMMANDS, Row
+from common.commands import COMMANDS, Row
 
 
 def help_answer() -> dict[str, Any]:

@@ -13,9 +13,9 @@ from typing import Any
 
 from pydantic import ValidationError
 
+from common.commands import COMMANDS, Command, Row
 from common.errors import CodecError, RefusedError
 from common.messages import unpack
-from services.control.commands import COMMANDS, Command, Row
 from services.control.describe import fields_of, type_words
 
 MAX_REQUEST_BYTES = 64 * 1024

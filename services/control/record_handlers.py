@@ -6,6 +6,14 @@ from collections.abc import Generator, Iterable, Sequence
 from typing import Any
 
 from common import clock
+from common.commands import (
+    ALL_CAMERAS,
+    LedgerCommand,
+    PreviewCommand,
+    RecordCommand,
+    StartCommand,
+    StopCommand,
+)
 from common.errors import RefusedError
 from common.ids import new_recording
 from common.ledgers import CameraLedger, Ledger, RecordingSpec
@@ -16,14 +24,6 @@ from common.messages import (
     PreviewOrder,
     StartOrder,
     StopOrder,
-)
-from services.control.commands import (
-    ALL_CAMERAS,
-    LedgerCommand,
-    PreviewCommand,
-    RecordCommand,
-    StartCommand,
-    StopCommand,
 )
 from services.control.conversations import Answers, Batch, Errand, Keys, Plain, Talk, refusal
 from services.control.peers import STORE

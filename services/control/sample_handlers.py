@@ -5,9 +5,9 @@ from __future__ import annotations
 from collections.abc import Generator
 from typing import Literal
 
+from common.commands import DeleteCommand, RestoreCommand, SamplesCommand, UndoCommand
 from common.errors import RefusedError
 from common.messages import Answer, ListOrder, MoveOrder, NewestOrder, Order
-from services.control.commands import DeleteCommand, RestoreCommand, SamplesCommand, UndoCommand
 from services.control.conversations import Answers, Batch, Errand, Keys, Talk
 from services.control.peers import STORE
 

@@ -12,12 +12,12 @@ from typing import Any
 
 from common import clock
 from common.bus import CommandServer, Poller, Proxy, Publisher, Return, Subscriber
+from common.commands import Command, HelpCommand, StatusCommand, command_name
 from common.errors import RefusedError
 from common.messages import ServiceState, Shares
 from common.service import Context, Report
 from common.service.meters import Rate, Tally
 from common.topics import CAMERA, LABELS, RECORDING, SERVICE, SHARES
-from services.control.commands import Command, HelpCommand, StatusCommand, command_name
 from services.control.conversations import MAX_WAITING, Conversations, Keys, Plain, Talk, refusal, refusal_of
 from services.control.parsing import parse
 from services.control.peers import STORE, Peers

@@ -9,11 +9,11 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 from common.bus import Endpoints
+from common.commands import ALL_CAMERAS
 from common.config import Rig
 from common.errors import RefusedError
 from common.ledgers import Ledger
 from common.messages import CameraState, Labels, Message, RecordingState, ServiceState, Shares
-from services.control.commands import ALL_CAMERAS
 from services.control.moments import Moments
 from services.control.recordings import Recordings
 from services.control.roll_call import RollCall, expected_services

@@ -5,10 +5,10 @@ from __future__ import annotations
 from collections.abc import Generator
 
 from common import clock
+from common.commands import HelpCommand, ReloadCommand, SessionCommand, StatusCommand
 from common.config import Rig, differences, load_rig
 from common.errors import RefusedError
 from common.messages import LedgerQuery, ReloadOrder, SessionOrder
-from services.control.commands import HelpCommand, ReloadCommand, SessionCommand, StatusCommand
 from services.control.conversations import Answers, Batch, Errand, Keys, Talk
 from services.control.describe import help_answer
 from services.control.peers import STORE

@@ -11,10 +11,10 @@ from dataclasses import dataclass, field
 from typing import Any
 
 from common import clock
+from common.commands import RecordCommand
 from common.ids import new_recording, sample_camera
 from common.labels import PairLabel
 from common.messages import Answer, ErrorInfo, RecordOrder
-from services.control.commands import RecordCommand
 from services.control.conversations import Answers, Batch, Errand, Keys
 from services.control.moments import Chosen, Moment
 from services.control.stack import Stack

@@ -18,10 +18,10 @@ from common.config.models import NetworkConfig
 from common.dataset import SessionReader
 from common.errors import TagmillError
 from common.topics import CAMERA
+from common.words import words_for
 from tests.support.stack import wait_for
 from tests.support.supervised import DEADLINE_S, OBJECT, SupervisedStack, check_session, supervised
 from tools.bench.load_counter import CameraLoad, LoadCounter
-from tools.words import words_for
 
 pytestmark = [pytest.mark.process, pytest.mark.timeout(400)]
 

@@ -12,9 +12,9 @@ from pathlib import Path
 
 import pytest
 
+from common.commands import COMMANDS, GENERAL_ERRORS
 from common.topics import TOPICS
-from services.control.commands import COMMANDS, GENERAL_ERRORS
-from tools.words import WORDS
+from common.words import WORDS
 
 ROOT = Path(__file__).resolve().parents[2]
 PACKAGES = ("services", "common", "tools")

@@ -14,9 +14,9 @@ import msgpack
 import pytest
 
 from common.bus import CommandServer, Endpoints, Poller
+from common.commands import COMMANDS
 from common.config.models import NetworkConfig
 from common.errors import EXIT_BAD_CONFIG, EXIT_NO_ANSWER, EXIT_OK, EXIT_REFUSED, EXIT_USAGE
-from services.control.commands import COMMANDS
 from services.control.describe import help_answer
 from tools.cli import SUB_COMMANDS, build_parser, main
 from tools.commands.client import network_of

@@ -8,9 +8,9 @@ from pathlib import Path
 
 import pytest
 
-from services.control.commands import COMMANDS, GENERAL_ERRORS
+from common.commands import COMMANDS, GENERAL_ERRORS
+from common.words import WORDS, words_for
 from tools.docs import ROOT, pages
-from tools.words import WORDS, words_for
 
 _ANSWER_THROUGH = ("services/control", "services/label", "services/store", "common", "tools")
 """Where the codes come from that control, or a sub-command, can show."""

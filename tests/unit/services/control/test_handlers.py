@@ -9,11 +9,11 @@ import pytest
 
 from common import clock
 from common.bus import Endpoints
+from common.commands import RecordCommand, ReloadCommand, SessionCommand, StartCommand, UndoCommand
 from common.config import load_rig
 from common.config.models import NetworkConfig
 from common.errors import RefusedError
 from common.messages import Answer, ErrorInfo
-from services.control.commands import RecordCommand, ReloadCommand, SessionCommand, StartCommand, UndoCommand
 from services.control.conversations import Keys, Talk
 from services.control.service import handlers
 from services.control.stack import SETTLE_AT_LATEST_NS, Stack

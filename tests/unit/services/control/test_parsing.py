@@ -9,8 +9,8 @@ import pytest
 from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
 
+from common.commands import COMMANDS, GENERAL_ERRORS, Command, RecordCommand, StartCommand
 from common.errors import RefusedError
-from services.control.commands import COMMANDS, GENERAL_ERRORS, Command, RecordCommand, StartCommand
 from services.control.describe import help_answer
 from services.control.parsing import MAX_REQUEST_BYTES, parse
 

@@ -8,10 +8,10 @@ import msgpack
 import pytest
 
 from common.bus import Endpoints
+from common.commands import COMMANDS
 from common.config import load_rig
 from common.config.models import NetworkConfig
 from common.errors import RefusedError
-from services.control.commands import COMMANDS
 from services.control.conversations import Keys
 from services.control.service import handlers
 from services.control.stack import SETTLE_AT_LATEST_NS, SETTLE_NS, Stack

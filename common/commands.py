@@ -1,7 +1,7 @@
 """The command socket's table: one frozen model a command, what it does, what it answers. Pure.
 
-`parsing` turns bytes into these; `service.handlers` says who carries each out; `help` and docs/reference/commands.md
-are made from it (`describe`).
+Control turns bytes into these and carries them out; the console mirrors them as HTTP; `help` and
+docs/reference/commands.md are made from it.
 """
 
 from __future__ import annotations

@@ -51,6 +51,7 @@ WORDS: dict[str, Words] = {
         "Nobody looks for markers (detect is restarting).",
         "Try again in a few seconds; if it stays so, look at detect in `tagmill status`.",
     ),
+    "labels_late": Words("Labels come late.", "The machine is too busy: record slower, or use fewer cameras."),
     "label_down": Words("Labelling is stopped (label is restarting).", "Try again in a few seconds."),
     "disk_full": Words("The disk is full.", "Free some space or choose another session."),
     "disk_error": Words("The disk can't be written.", "Look at the system's log; the disk may be failing."),
