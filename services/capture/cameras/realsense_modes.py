@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Iterable
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from typing import Any
 
 from common.errors import CameraError, ConfigError
@@ -32,8 +32,8 @@ class Wish:
 class Mode:
     """One way in which a sensor can stream. ``format`` is the SDK's word."""
 
-    sensor: Any
-    profile: Any
+    sensor: Any = field(repr=False)  # the SDK's own texts of its objects can crash
+    profile: Any = field(repr=False)
     width: int
     height: int
     fps: int

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import threading
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any, Protocol
 
@@ -26,8 +26,8 @@ RESET = 10_000
 class Pair:
     """A colour frame, with depth the frameset that it belongs to; ``missed`` as in ``Grabbed``."""
 
-    colour: Any
-    frameset: Any | None
+    colour: Any = field(repr=False)
+    frameset: Any | None = field(repr=False)
     missed: int
 
 
