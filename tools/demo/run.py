@@ -27,7 +27,7 @@ from tools.stack.running import running_stack, wait_ready
 
 RIG = Path(__file__).with_name("rig.yaml")
 SECOND_CAMERA = ROOT / "deploy" / "examples" / "conf.d"
-_RECORD_S = 30.0
+_RECORD_S = 120.0
 LEAST_RATE = 10.0
 
 Truths = dict[tuple[str, int], tuple[TrueObject, ...]]
