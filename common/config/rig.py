@@ -120,11 +120,12 @@ class Rig:
         return family(self.config.markers.family, self.folder).name
 
 
-def load_rig(path: Path, *, inputs: bool = False) -> Rig:
+def load_rig(path: Path, *, inputs: bool = False, cameras: bool = True) -> Rig:
     """Read and check a rig file.
 
     With ``inputs`` also that the pictures and videos of its cameras are there: what ``check`` and ``up`` want to
-    know, while a running service leaves that to the one camera concerned.
+    know, while a running service leaves that to the one camera concerned. Without ``cameras`` the section is left
+    out, mistakes and all: markers are printed before a camera is calibrated.
     Raises ConfigError whose ``problems`` are all mistakes, each ``file:line: field: reason``.
     """
     path = Path(path)
@@ -133,6 +134,8 @@ def load_rig(path: Path, *, inputs: bool = False) -> Rig:
     if tree is None:
         problems.raise_if_any()
         raise ConfigError(f"{path}: is no rig file")
+    if not cameras:
+        tree.remove(("cameras",))
     folder = path.parent.absolute()
     config = read_schema(tree, problems)
     boxes = ObjectReader(tree, _family(tree, config, folder, problems), problems).read(config)

@@ -178,7 +178,7 @@ def _note_in_border(canvas: Canvas, one: RigMarker, corner: Array) -> None:
     up = up_direction(rotation)
     tip = corner + edge / 2 + up * ((edge / 2 - 0.4) / np.abs(up).max())
     across = np.array([-up[1], up[0]])
-    canvas.fill([np.array([tip, tip - up * 1.4 + across * 0.9, tip - up * 1.4 - across * 0.9])], FAINT)
+    canvas.fill([np.array([tip, tip - up * 1.4 + across * 0.5, tip - up * 1.4 - across * 0.5])], FAINT)
     canvas.text((corner[0] + 0.7, corner[1] + edge - 0.7), f"{one.marker.id}", 4.5, grey=FAINT)
 
 

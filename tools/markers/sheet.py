@@ -40,7 +40,7 @@ def add_parser(parser: argparse.ArgumentParser) -> None:
 def run(args: argparse.Namespace) -> int:
     """Write the sheet, or say what a measured ruler means."""
     path = chosen_rig(args.file or args.rig)
-    markers = rig_markers(load_rig(path))
+    markers = rig_markers(load_rig(path, cameras=False))
     if not markers:
         raise RefusedError(f"{path}: no object has a marker, so there is nothing to print", code="nothing_to_print")
     if args.measured is not None:

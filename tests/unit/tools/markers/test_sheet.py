@@ -255,6 +255,12 @@ def test_what_stands_in_the_way_is_said(tmp_path: Path, capsys: pytest.CaptureFi
     assert "no object has a marker" in capsys.readouterr().err
 
 
+def test_markers_are_printed_before_the_camera_is_calibrated(tmp_path: Path) -> None:
+    text = RIG + "cameras: {cam0: {driver: webcam, calibration: calibration/not-yet.yaml}}\n"
+    path = rig_file(tmp_path, text=text)
+    assert main(["markers", "sheet", str(path), "--out", str(tmp_path / "o.pdf")]) == EXIT_OK
+
+
 @pytest.mark.parametrize("name", ["apriltag_36h11", "5x5_100"])
 def test_single_markers_as_png_and_svg(name: str, tmp_path: Path) -> None:
     path = rig_file(tmp_path, name)
