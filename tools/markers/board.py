@@ -15,7 +15,7 @@ from common.errors import EXIT_OK, ConfigError, RefusedError
 from tools.calibrate.board_options import KINDS, add_description_options, columns_and_rows, given_options, validated
 from tools.markers.board_page import BoardPage, describe, draw, fitted
 from tools.markers.board_sizes import DEFAULTS, largest, unit_of, with_proportions
-from tools.markers.files import png, svg, write_bytes
+from tools.markers.files import pdf_path, png, svg, write_bytes
 from tools.markers.measured import is_true, parse_measured
 from tools.markers.paper import Paper, parse_paper
 from tools.markers.ruler import LENGTH_MM
@@ -59,7 +59,7 @@ def _run(args: argparse.Namespace) -> int:
     paper: Paper = args.paper
     board = _described(args, paper) if known else _read(args)
     page = fitted(board.as_drawn(), paper)
-    out: Path = args.out or Path(f"{board.kind}-{board.columns}x{board.rows}.pdf")
+    out: Path = pdf_path(args.out, f"{board.kind}-{board.columns}x{board.rows}.pdf")
     write_bytes(out, draw(page, out.with_suffix(".yaml").name))
     written = [out, *_pictures(page.board, out, as_png=args.png, as_svg=args.svg)]
     description = out.with_suffix(".yaml")

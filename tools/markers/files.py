@@ -22,6 +22,14 @@ _PNG_HEAD = 33
 """Bytes of a PNG's signature and its first chunk (IHDR), after which the pixel size may stand."""
 
 
+def pdf_path(chosen: Path | None, default: str) -> Path:
+    """Where the PDF goes; raises RefusedError for a name that isn't a PDF's (other files are named after it)."""
+    path = chosen or Path(default)
+    if path.suffix.lower() != ".pdf":
+        raise RefusedError(f"--out names the PDF, so it must end in .pdf, not {path.name}", code="not_written")
+    return path
+
+
 def write_bytes(path: Path, data: bytes) -> None:
     """Write a file and make its folder; raises RefusedError where that can't be done."""
     temporary = path.with_name(f".{path.name}.{os.getpid()}.tmp")

@@ -13,7 +13,7 @@ from common.config import load_rig
 from common.errors import EXIT_OK, RefusedError
 from tools.check import MUCH, chosen_rig
 from tools.markers import measured
-from tools.markers.files import png, svg, write_bytes
+from tools.markers.files import pdf_path, png, svg, write_bytes
 from tools.markers.label import RigMarker, rig_markers
 from tools.markers.pages import draw, lay_out
 from tools.markers.paper import Paper, parse_paper
@@ -51,7 +51,7 @@ def run(args: argparse.Namespace) -> int:
         return EXIT_OK
     paper: Paper = args.paper.upright
     sheet = lay_out(markers, paper)
-    out: Path = args.out or Path(f"markers-{path.stem}-{paper.name}.pdf")
+    out: Path = pdf_path(args.out, f"markers-{path.stem}-{paper.name}.pdf")
     write_bytes(out, draw(sheet, path))
     singles = list(_write_singles(markers, args.png, args.svg))
     warnings = list(_warnings(markers))

@@ -141,6 +141,7 @@ def test_the_bare_board_as_picture(tmp_path: Path) -> None:
 
 
 MISTAKES: dict[tuple[str, ...], str] = {
+    ("charuco", "--out", "board.yaml"): "must end in .pdf",
     ("chesboard",): "is no kind of board and no file",
     ("nothing.yaml",): "there is no such file",
     ("charuco", "--measured", "99"): "name its description",
