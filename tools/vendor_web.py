@@ -1,8 +1,8 @@
 """Fetch the web parts that the console ships, check them, copy them byte for byte: ``python -m tools.vendor_web``.
 
-A folder's ``VENDOR.json`` says what is wanted (name, version, files). The ordinary ``npm pack`` fetches each package; what
-npm says of it (integrity) and each file's sha256 are written back, so that a test can check the files offline. Run
-again with a known integrity, a package that differs from it is refused.
+A folder's ``VENDOR.json`` says what is wanted (name, version, files). The ordinary ``npm pack`` fetches each package;
+what npm says of it (integrity) and each file's sha256 are written back, so that a test can check the files offline.
+Run again with a known integrity, a package that differs from it is refused.
 """
 
 from __future__ import annotations
@@ -67,7 +67,7 @@ def fetch(package: Plain, place: Path) -> Path:
     except (subprocess.CalledProcessError, subprocess.TimeoutExpired) as error:
         raise VendorError(f"'npm pack {wanted}' failed: {error}") from error
     told = json.loads(done.stdout)[0]
-    tarball = place / told["filename"]
+    tarball = place / str(told["filename"])
     integrity = "sha512-" + base64.b64encode(hashlib.sha512(tarball.read_bytes()).digest()).decode()
     if integrity != told["integrity"] or package.get("integrity", integrity) != integrity:
         raise VendorError(f"{wanted} is not the package that was checked before: {integrity}")
