@@ -2,5 +2,6 @@
 
 from common.boards.file import read_board, write_board
 from common.boards.model import Board, BoardKind, BoardMarker, BoardPoints
+from common.boards.stand import outline, standing
 
-__all__ = ["Board", "BoardKind", "BoardMarker", "BoardPoints", "read_board", "write_board"]
+__all__ = ["Board", "BoardKind", "BoardMarker", "BoardPoints", "outline", "read_board", "standing", "write_board"]

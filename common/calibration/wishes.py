@@ -76,8 +76,20 @@ def _emptiest(seen: Spread) -> tuple[tuple[float, float], str]:
                 rows * down // 3 : rows * (down + 1) // 3, columns * across // 3 : columns * (across + 1) // 3
             ]
             share = float(np.mean(part > 0))
-            words = " ".join(word for word in (vertical, horizontal) if word)
-            name = f"at the {words} of the picture" if words else "in the middle of the picture"
+            name = in_words(" ".join(word for word in (vertical, horizontal) if word))
             if share < best[0] - 1e-9:
                 best = (share, ((across + 0.5) / 3, (down + 0.5) / 3), name)
     return best[1], best[2]
+
+
+def in_words(part: str) -> str:
+    """A part of the picture by its name (``upper left``, ``right``, ``middle``) for a sentence."""
+    return "in the middle of the picture" if part in ("", "middle") else f"at the {part} of the picture"
+
+
+def place_of(part: str) -> tuple[float, float]:
+    """The middle of a part of the picture by its name, 0..1 from the picture's top left."""
+    words = part.split()
+    across = 0 if "left" in words else 2 if "right" in words else 1
+    down = 0 if "upper" in words else 2 if "lower" in words else 1
+    return (across + 0.5) / 3, (down + 0.5) / 3
