@@ -3,6 +3,9 @@ PYTHON ?= python3
 VENV := .venv
 BIN := $(VENV)/bin
 STAMP := $(VENV)/.ready
+EXTRAS := dev,console,realsense
+OTHER_VENV := .venv-opencv5
+OTHER_STAMP := $(OTHER_VENV)/.ready
 # Compiled modules are kept, whatever the environment says: each service starts in two thirds of the time.
 unexport PYTHONDONTWRITEBYTECODE
 
@@ -16,7 +19,7 @@ $(STAMP): pyproject.toml requirements.lock
 	@$(PYTHON) -c 'import sys; sys.exit(sys.version_info < (3, 11))' || { echo "tagmill needs Python 3.11 or newer; '$(PYTHON)' is older. Name another: make PYTHON=python3.12 $(MAKECMDGOALS)"; exit 1; }
 	$(PYTHON) -m venv $(VENV)
 	$(BIN)/pip install --quiet --upgrade pip
-	$(BIN)/pip install --quiet --constraint requirements.lock --editable '.[dev,console,realsense]'
+	$(BIN)/pip install --quiet --constraint requirements.lock --editable '.[$(EXTRAS)]'
 	@touch $@
 
 setup: $(STAMP) ## make .venv with everything that the other targets need
@@ -30,8 +33,16 @@ run: $(STAMP) ## start the stack with the rig of RIG=... (default: the synthetic
 test: $(STAMP) ## everything but the long runs (under 10 minutes on 2 cores)
 	$(BIN)/python -m pytest -m 'not long' -n 2
 
-test-long: $(STAMP) ## the long runs
+test-long: $(STAMP) $(OTHER_STAMP) ## the long runs, and all others on OpenCV 5
 	$(BIN)/python -m pytest -m long
+	$(OTHER_VENV)/bin/python -m pytest -m 'not long' -n 2
+
+$(OTHER_STAMP): pyproject.toml requirements.lock
+	$(PYTHON) -m venv $(OTHER_VENV)
+	$(OTHER_VENV)/bin/pip install --quiet --upgrade pip
+	grep -v '^opencv' requirements.lock > $(OTHER_VENV)/requirements.lock
+	$(OTHER_VENV)/bin/pip install --quiet --constraint $(OTHER_VENV)/requirements.lock --editable '.[$(EXTRAS)]' 'opencv-contrib-python-headless>=5,<6'
+	@touch $@
 
 lint: $(STAMP) ## ruff, mypy strict, import-linter
 	$(BIN)/ruff check --no-cache .
@@ -46,4 +57,4 @@ docs: $(STAMP) ## write the generated pages (topics, command socket, label schem
 	$(BIN)/python -m tools.docs
 
 clean: ## remove what the targets made
-	rm -rf $(VENV) build dist *.egg-info .mypy_cache .ruff_cache .pytest_cache demo-out
+	rm -rf $(VENV) $(OTHER_VENV) build dist *.egg-info .mypy_cache .ruff_cache .pytest_cache demo-out
