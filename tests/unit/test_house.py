@@ -34,7 +34,8 @@ SLEEPERS: dict[str, str] = {
 def tracked() -> tuple[str, ...]:
     """The files of the repository, or, where there is none (an unpacked archive), all of the source folders."""
     if not (ROOT / ".git").exists():
-        return tuple(str(path.relative_to(ROOT)) for path in ROOT.rglob("*.py") if not any(part.startswith(".venv") for part in path.parts))
+        found = (path.relative_to(ROOT) for path in ROOT.rglob("*.py"))
+        return tuple(str(path) for path in found if not path.parts[0].startswith(".venv"))
     listed = subprocess.run(["git", "ls-files", "-z"], cwd=ROOT, capture_output=True, text=True, check=True)
     return tuple(name for name in listed.stdout.split("\0") if name and (ROOT / name).is_file())
 
