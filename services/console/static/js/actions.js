@@ -4,7 +4,7 @@ import {command} from "./api.js";
 import {clock, plural, timeOfDay} from "./format.js";
 import {MODES, DEAF_MS, button, startFields} from "./live/modes.js";
 import {sound} from "./sound.js";
-import {go, route} from "./route.js";
+import {go} from "./route.js";
 
 const RECORD_S = 5;
 const STOP_MS = 60000;
@@ -153,14 +153,12 @@ const COMMANDS = {
   split: toggleSplit, depth: toggleDepth,
 };
 
-export function run(name) {
+export function run(name, event) {
   const found = local[name] ?? COMMANDS[name];
-  if (found) return found();
+  if (found) return found(event);
   if (name.startsWith("overlay.")) return toggleOverlay(name.slice(-1));
   return undefined;
 }
 
 /** How long a recording runs, as the top bar shows it. */
 export const runsFor = (record, now) => (record?.since ? clock((now - Date.parse(record.since)) / 1000) : "");
-
-export {route};

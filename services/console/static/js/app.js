@@ -96,7 +96,7 @@ function keyUp(event) {
 async function learn() {
   const [rig, words] = await Promise.all([getJson("/api/rig"), getJson("/api/words")]);
   if (rig.ok) state.rig.value = rig.body;
-  if (words.ok) state.words.value = words.body.words ?? words.body;
+  if (words.ok) state.words.value = words.body;
 }
 
 let heard = 0;

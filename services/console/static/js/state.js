@@ -67,7 +67,11 @@ export const phase = computed(() => {
 });
 
 /** Durable samples of the open session. */
-export const stored = computed(() => topics.session.value?.stored ?? topics.record.value?.count ?? null);
+export const stored = computed(() => {
+  const record = topics.record.value;
+  const idle = record && !record.recording ? record.count : null;
+  return topics.session.value?.stored ?? idle ?? topics.status.value?.services?.store?.numbers?.samples ?? null;
+});
 
 export function takeState(topic, data) {
   if (topic in topics) topics[topic].value = data;

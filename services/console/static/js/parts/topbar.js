@@ -37,7 +37,7 @@ export function TopBar() {
     <nav class="tabs" aria-label="Views">${VIEWS.map((view, i) => html`<a href=${`/${view.id}`} aria-keyshortcuts=${String(i + 1)}
       aria-current=${route.value.view === view.id ? "page" : undefined}><${Icon} name=${view.icon} />${view.title}<kbd aria-hidden="true">${i + 1}</kbd></a>`)}</nav>
     <div class="facts"><${State} />
-      <p class="fact session"><b>${count(storedCount())}</b><span>in ${session ?? "the session"}</span></p>
+      <p class="fact session"><b>${count(state.stored.value)}</b><span>in ${session ?? "the session"}</span></p>
       <${Disk} />
       <button class="button quiet" onClick=${() => open("notes")} aria-keyshortcuts=${hint("notes")}>
         <${Icon} name="bell" />${state.unread.value ? html`<strong>${state.unread.value}</strong> new` : "Notes"}</button>
@@ -45,8 +45,3 @@ export function TopBar() {
     </div></header>`;
 }
 
-/** While recording the state says how many the recording has; this is the session's. */
-function storedCount() {
-  const record = state.topics.record.value;
-  return state.topics.session.value?.stored ?? record?.stored ?? (record?.recording ? null : record?.count);
-}
