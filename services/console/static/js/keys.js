@@ -66,6 +66,8 @@ export const SCOPE_TITLES = {
   gallery: "Chosen samples", opened: "Opened sample",
 };
 
+/** Signs of the table that some keyboards have on a digit's key: what is typed wins. */
+const SIGNS = new Set(["?", "/", "+", "-", ".", ","]);
 const TYPING = new Set(["input", "textarea", "select"]);
 /** Inputs in which no letter is typed: radio and check boxes leave the letters to the page. */
 const NOT_TYPING = new Set(["radio", "checkbox", "range", "button"]);
@@ -84,7 +86,8 @@ export const shortcuts = (command) =>
 
 /** Latin letter by what is typed; on a Greek or Cyrillic keyboard, and for digits, by where the key is. */
 export function nameOf(event) {
-  if (/^Digit\d$/.test(event.code ?? "") && !/^[^\w\s]$/.test(event.key)) return event.code;
+  const isDigit = /^Digit\d$/.test(event.code ?? "") && (!event.shiftKey || /^\d$/.test(event.key));
+  if (isDigit && !SIGNS.has(event.key)) return event.code;
   if (event.code === "Space" || event.key === " ") return "Space";
   const key = event.key.toLowerCase();
   if (key.length === 1 && !/[\u0020-\u007e]/.test(key)) {

@@ -69,7 +69,7 @@ export const phase = computed(() => {
 /** Durable samples of the open session. */
 export const stored = computed(() => {
   const record = topics.record.value;
-  const idle = record && !record.recording ? record.count : null;
+  const idle = record && !record.recording && record.count ? record.count : null;
   return topics.session.value?.stored ?? idle ?? topics.status.value?.services?.store?.numbers?.samples ?? null;
 });
 
