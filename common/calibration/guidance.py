@@ -34,10 +34,12 @@ class Guidance:
     wrong_layout, near_duplicate, nothing_new, other_size, enough). ``held``: 0..1 of the time that the board must be
     still. ``wish``: the next pose, ``ghost`` (4, 2) the board's outline in it, px, TL TR BR BL; ``outline`` (4, 2): as
     it is seen now. ``taken``: the view, in the frame that was taken and no other. ``spread`` of the ``count`` views.
+    ``size``: the pictures'.
     """
 
     phase: Phase
     words: str
+    size: tuple[int, int]
     code: str = ""
     held: float = 0.0
     wish: Wish | None = None
@@ -55,6 +57,7 @@ class Guidance:
         return {
             "phase": self.phase,
             "words": self.words,
+            "size": list(self.size),
             "code": self.code,
             "held": round(self.held, 2),
             "next": None if wish is None else {"code": wish.code, "words": wish.words, "place": list(wish.place)},

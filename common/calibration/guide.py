@@ -244,6 +244,6 @@ class Guide:
         shape = None if wish is None else ghost(self._board, wish, self._camera)
         verdict = None if self._outcome is None else self._outcome.verdict
         return Guidance(
-            self._phase, words, code, held, wish, shape, drawn, taken, len(self._views), self._seen, self._missing,
-            verdict,
+            self._phase, words, self._size, code, held, wish, shape, drawn, taken, len(self._views), self._seen,
+            self._missing, verdict,
         )  # fmt: skip

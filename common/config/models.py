@@ -168,10 +168,13 @@ class SyntheticOptions(Section):
     """Keys of ``driver: synthetic``. The scene moves on a path that follows from ``seed``.
 
     ``view``: degrees by which this camera went round the scene's middle; cameras of one seed see one scene.
-    ``light`` and ``clutter``: 0 even and unchanging, bare ... 1 one lamp that wanders, much lies and hangs about.
+    ``board``: a calibration board's description; the camera shows that board, held at one pose after another, and no
+    object. ``light`` and ``clutter``: 0 even and unchanging, bare ... 1 one lamp that wanders, much lies and hangs
+    about.
     """
 
     seed: int = 1
+    board: Path | None = None
     depth: bool = True
     markers: bool = True
     burn_frame: bool = False

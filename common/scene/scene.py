@@ -11,9 +11,11 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
+from common.boards import Board
 from common.geometry import Box, CameraModel, Pose
 from common.messages import TrueObject
 from common.scene.backdrop import Backdrop
+from common.scene.boards import BOARD, BoardDrawing, BoardPath
 from common.scene.compose import Composer, merged, reach_of
 from common.scene.light import Light
 from common.scene.noise import NoiseBank
@@ -48,8 +50,8 @@ class Scene:
 
     ``frustum``: tangents of half the horizontal and vertical field of view in which the path keeps the
     objects; ``distance_mm``: their mean distance (None: so that all fit); ``speed`` of their motion,
-    ``clutter`` of the room 0..1, ``light`` how uneven and changing the light is, 0..1. Two scenes made from
-    the same arguments are the same, in any process.
+    ``clutter`` of the room 0..1, ``light`` how uneven and changing the light is, 0..1. A ``board`` is shown instead
+    of the boxes. Two scenes made from the same arguments are the same, in any process.
     """
 
     def __init__(
@@ -63,22 +65,28 @@ class Scene:
         speed: float = 1.0,
         clutter: float = 1.0,
         light: float = 1.0,
+        board: Board | None = None,
     ) -> None:
-        self.boxes = tuple(boxes)
+        self.boxes = tuple(boxes) if board is None else ()
         self.seed = seed
+        if board is not None:
+            distance_mm = distance_mm or BoardPath.room_mm(board, frustum)
         self.light = Light(seed, light)
         self.room = Room(self.boxes, frustum, distance_mm)
         self.backdrop = Backdrop(self.room, frustum, seed, clutter)
         self.drawings = {box.name: BoxDrawing(box, family, seed) for box in self.boxes}
         self._paths = {box.name: Path(box, number, self.room, seed, speed) for number, box in enumerate(self.boxes)}
+        self.board = None if board is None else BoardDrawing(board)
+        self._board_path = None if board is None else BoardPath(board, frustum, seed, speed)
         self._cameras: list[SceneCamera] = []
 
     def poses(self, index: float) -> dict[str, Pose]:
-        """Each object's pose at a frame number (30 to the second): object frame to scene frame.
+        """Each object's pose at a frame number (30 to the second): object frame to scene frame; a board's as BOARD.
 
         The scene frame is the camera frame of a camera with ``view_deg`` 0.
         """
-        return {name: path.pose(index) for name, path in self._paths.items()}
+        poses = {name: path.pose(index) for name, path in self._paths.items()}
+        return poses if self._board_path is None else poses | {BOARD: self._board_path.pose(index)}
 
     def viewpoint(self, view_deg: float) -> Pose:
         """Scene frame to camera frame for a camera that went round the scene's middle by so many degrees.
@@ -193,6 +201,11 @@ class SceneCamera:
         touched = ((name, box.region) for name, box in seen.items())
         for names, region in merged(touched, 4 * reach_of(blur_px)):
             self._composer.draw(bgr, depths, region, blur_px, partial(draw, names))
+        board = self.scene.board
+        held = board.see(rays, placed[BOARD]) if board is not None and BOARD in placed else None
+        if board is not None and held is not None:
+            show = partial(board.draw, seen=held, to_scene=to_scene, light=self.scene.light, index=index)
+            self._composer.draw(bgr, depths, held.region, blur_px, show)
 
     def _bank(self, what: str, sigma: float, pixels: Picture | Depth) -> NoiseBank:
         """The bank for this sigma; one of each kind is kept."""

@@ -1,4 +1,4 @@
-"""`tagmill calibrate`: intrinsics from pictures or a video of a board, with a verdict and a report."""
+"""`tagmill calibrate`: intrinsics from a live camera, pictures or a video of a board, with a verdict and a report."""
 
 from __future__ import annotations
 
@@ -12,19 +12,17 @@ from pathlib import Path
 from rich.console import Console
 from rich.progress import Progress
 
-from common.boards import Board
 from common.calibration import ALL_MODELS, Miss, Outcome, Reason, View, calibrate
 from common.calibration.candidates import steps
 from common.calibration.verdict import verdict
 from common.config import read_calibration, write_calibration
 from common.errors import EXIT_OK, EXIT_REFUSED, ConfigError, RefusedError
 from tools.calibrate import convert
-from tools.calibrate.board_options import add_board_options, chosen_board
+from tools.calibrate.board_options import add_board_options
+from tools.calibrate.gather import Gathered, gather
 from tools.calibrate.measured import HONEST, judge_measured, parse_measured
-from tools.calibrate.pictures import Pictures, frames_of, pictures_of
 from tools.calibrate.report import write_report
-from tools.calibrate.result import Places, document, label_of, load_views, places, quality_of, save_views
-from tools.calibrate.search import find_views
+from tools.calibrate.result import Places, document, label_of, places, quality_of, save_views
 from tools.calibrate.words import said
 
 EXIT_INTERRUPTED = 130
@@ -32,12 +30,13 @@ EXIT_INTERRUPTED = 130
 
 def add_parser(parser: argparse.ArgumentParser) -> None:
     """The sub-command's own arguments."""
-    source = parser.add_argument_group("where the pictures come from")
+    source = parser.add_argument_group("where the pictures come from (none of these: live, from --camera)")
     source.add_argument("--images", metavar="DIR|GLOB", help="a folder of pictures, or a quoted pattern")
     source.add_argument("--video", type=Path, metavar="FILE", help="a video; at most 300 frames of it are looked at")
     source.add_argument("--views", type=Path, metavar="FILE", help="go on with the views that an earlier run kept")
+    source.add_argument("--live", action="store_true", help="go on live with the views that --views names")
     add_board_options(parser)
-    parser.add_argument("--camera", default="camera", metavar="NAME", help="the camera's name in the rig")
+    parser.add_argument("--camera", metavar="NAME", help="the camera's name in the rig; needed for live views")
     parser.add_argument("--serial", metavar="S", help="the camera's serial number: the file then fits no other")
     parser.add_argument(
         "--model", choices=ALL_MODELS, action="append", help="only this lens model (default: the best; may be repeated)"
@@ -59,23 +58,21 @@ def run(args: argparse.Namespace) -> int:
         return convert.run(args)
     measured = None if args.measured is None else parse_measured(args.measured)
     _check_figures(args)
-    board, views, misses, interrupted = _gather(args)
-    found = places(args.out, args.camera, _most_common_size(views))
-    save_views(found.views, board, views)
-    if interrupted:
-        return _interrupted(found, views, quiet=args.json)
+    found, got = _gathered(args)
+    if got.interrupted:
+        return _interrupted(found, got, quiet=args.json)
     try:
-        outcome = _calibrated(args, views, misses)
+        outcome = _calibrated(args, got.views, got.misses)
     except KeyboardInterrupt:
-        return _interrupted(found, views, quiet=args.json)
-    told: list[str] = []
+        return _interrupted(found, got, quiet=args.json)
+    told = [f"the camera stopped: {got.stopped_by}"] if got.stopped_by else []
     if measured is not None and outcome.solution is not None:
         words, reasons = judge_measured(outcome.solution, *measured)
         told.append(words)
         outcome = replace(outcome, verdict=verdict(outcome.verdict.reasons, reasons))
     if measured is None and outcome.solution is not None:
         told.append(HONEST)
-    return _finish(args, board, outcome, misses, found, told)
+    return _finish(args, got, outcome, found, told)
 
 
 def _check_figures(args: argparse.Namespace) -> None:
@@ -87,29 +84,15 @@ def _check_figures(args: argparse.Namespace) -> None:
             )
 
 
-def _gather(args: argparse.Namespace) -> tuple[Board, list[View], list[Miss], bool]:
-    """The board, its views, the pictures without one, and whether Ctrl-C ended the search."""
-    board, views = (None, []) if args.views is None else load_views(args.views)
-    if args.board is not None or board is None:
-        given = chosen_board(args)
-        if board is not None and given.points().mm.tolist() != board.points().mm.tolist():
-            raise RefusedError(f"the views in {args.views} are of another board", code="no_views")
-        board = given
-    sources: list[Pictures] = []
-    if args.images is not None:
-        sources.append(pictures_of(args.images))
-    if args.video is not None:
-        sources.append(frames_of(args.video))
-    if not sources and args.views is None:
-        raise ConfigError("where are the pictures? --images DIR, --video FILE, or --views FILE of an earlier run")
-    misses: list[Miss] = []
-    for source in sources:
-        found = find_views(source, board, window=args.window, quiet=args.json)
-        views += found.views
-        misses += found.misses
-        if found.interrupted:
-            return board, views, misses, True
-    return board, views, misses, False
+def _gathered(args: argparse.Namespace) -> tuple[Places, Gathered]:
+    """The views, which are kept first of all."""
+    got = gather(args)
+    args.camera = args.camera or "camera"
+    args.serial = args.serial or got.serial
+    found = places(got.out, args.camera, _most_common_size(got.views))
+    if got.views or not got.interrupted:
+        save_views(found.views, got.board, got.views)
+    return found, got
 
 
 def _calibrated(args: argparse.Namespace, views: Sequence[View], misses: Sequence[Miss]) -> Outcome:
@@ -141,22 +124,23 @@ def _most_common_size(views: Sequence[View]) -> tuple[int, int] | None:
     return sizes[0][0] if sizes else None
 
 
-def _interrupted(found: Places, views: Sequence[View], *, quiet: bool) -> int:
+def _interrupted(found: Places, got: Gathered, *, quiet: bool) -> int:
+    pictures = None if got.pictures is None else str(got.pictures)
     if quiet:
-        print(json.dumps({"ok": False, "error": {"code": "interrupted"}, "views": str(found.views)}))
-    else:
-        print(f"Interrupted. {len(views)} views are kept in {found.views}; go on with --views {found.views}")
+        kept = {"views": str(found.views), "pictures": pictures}
+        print(json.dumps({"ok": False, "error": {"code": "interrupted"}} | kept))
+        return EXIT_INTERRUPTED
+    if not got.views:
+        print("Interrupted. No view was taken yet.")
+        return EXIT_INTERRUPTED
+    print(f"Interrupted. {len(got.views)} views are kept in {found.views}; go on with --views {found.views}")
+    if pictures is not None:
+        print(f"(live: --live --views {found.views}). This session's pictures are in {pictures}, for --images")
     return EXIT_INTERRUPTED
 
 
-def _finish(
-    args: argparse.Namespace,
-    board: Board,
-    outcome: Outcome,
-    misses: Sequence[Miss],
-    found: Places,
-    told: list[str],
-) -> int:
+def _finish(args: argparse.Namespace, got: Gathered, outcome: Outcome, found: Places, told: list[str]) -> int:
+    board, misses = got.board, got.misses
     solution = outcome.solution
     write_report(found.report, args.camera, board, outcome, misses, told)
     good = outcome.verdict.level != "not yet"
@@ -165,8 +149,10 @@ def _finish(
         told += _replaced(found)
         quality = quality_of(outcome, solution, board).model_dump(mode="json")
         write_calibration(found.file, label_of(solution, args.camera, args.serial), quality)
+        told += got.how_to_use(args.camera, found.file)
     if args.json:
         out = document(outcome, board, misses, found) | {"file": str(found.file) if written else None, "notes": told}
+        out |= {"serial": args.serial, "pictures": None if got.pictures is None else str(got.pictures)}
         print(json.dumps(out))
     else:
         print("\n".join(said(outcome, misses, told)))
@@ -175,6 +161,8 @@ def _finish(
         elif solution is not None:
             print(f"not written: {found.file} (--anyway writes it)")
         print(f"report:  {found.report}")
+        if got.pictures is not None:
+            print(f"views:   {got.pictures} (pictures), {found.views} (corners)")
     return EXIT_OK if good else EXIT_REFUSED
 
 

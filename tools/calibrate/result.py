@@ -35,6 +35,11 @@ class Places:
         return self.file.with_suffix(".views.json")
 
     @property
+    def pictures(self) -> Path:
+        """The folder of live pictures that gave views."""
+        return self.file.with_name(f"{self.file.stem}-views")
+
+    @property
     def previous(self) -> Path:
         """Where a calibration that is replaced goes."""
         return self.file.with_suffix(".previous.yaml")

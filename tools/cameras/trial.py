@@ -8,24 +8,16 @@ from __future__ import annotations
 
 import argparse
 import json
-import os
-import subprocess
-import sys
-import tempfile
-from collections.abc import Iterator
-from contextlib import contextmanager
 from pathlib import Path
 
 from rich.console import Console
 
-from common.bus import Endpoints, Proxy, holder_of
-from common.config import Rig, load_rig
-from common.errors import EXIT_OK, EXIT_REFUSED, CameraError, ConfigError
-from common.ids import new_boot
+from common.bus import Endpoints, holder_of
+from common.config import load_rig
+from common.errors import EXIT_OK, EXIT_REFUSED, ConfigError
+from tools.cameras.alone import alone
 from tools.cameras.measure import Measured, measure
 from tools.cameras.trial_view import trial_view
-
-STOP_S = 10.0
 
 
 def add_parser(parser: argparse.ArgumentParser) -> None:
@@ -51,7 +43,7 @@ def run(args: argparse.Namespace) -> int:
     if holder is not None:
         measured = measure(endpoints, rig, args.name, args.seconds, args.wait, snapshot)
     else:
-        with _alone(rig, args.name) as (own, process):
+        with alone(rig, args.name, holder="tagmill cameras test") as (own, process):
             measured = measure(own, rig, args.name, args.seconds, args.wait, snapshot, process)
     return _tell(args, measured, holder)
 
@@ -62,49 +54,3 @@ def _tell(args: argparse.Namespace, measured: Measured, holder: str | None) -> i
     else:
         Console().print(trial_view(measured, holder))
     return EXIT_OK if measured.frames else EXIT_REFUSED
-
-
-@contextmanager
-def _alone(rig: Rig, name: str) -> Iterator[tuple[Endpoints, subprocess.Popen[bytes]]]:
-    """The real capture process of one camera under a prefix of its own, with nothing but a bus around it."""
-    prefix = f"tagmill-test-{new_boot()}"
-    with tempfile.TemporaryDirectory(prefix="tagmill-") as folder:
-        own = Endpoints(prefix, Path(folder) / prefix, "")
-        proxy = Proxy(own, holder="tagmill cameras test")
-        proxy.start()
-        environment = {**os.environ, "TAGMILL_PREFIX": prefix, "TAGMILL_RUN_DIR": folder}
-        command = [sys.executable, "-m", "services.capture", "--rig", str(rig.path), "--camera", name]
-        log = Path(folder) / "capture.log"
-        try:
-            with log.open("wb") as sink:
-                process = subprocess.Popen(
-                    command, stdin=subprocess.DEVNULL, stdout=sink, stderr=subprocess.STDOUT, env=environment
-                )
-            try:
-                yield own, process
-                _check_end(process, log)
-            finally:
-                _end(process)
-        finally:
-            proxy.close()
-
-
-def _check_end(process: subprocess.Popen[bytes], log: Path) -> None:
-    """A process that has ended by itself says why on its last lines."""
-    code = process.poll()
-    if code is None:
-        return
-    lines = [line.strip() for line in log.read_text(errors="replace").splitlines() if line.strip()]
-    plain = [line for line in lines if not line.startswith("{")] or lines
-    if code == ConfigError.exit_code:
-        raise ConfigError("the camera can't be used as the rig file says", tuple(plain[1:] or plain))
-    raise CameraError(f"the camera's process ended (exit code {code}): {plain[-1] if plain else 'it said nothing'}")
-
-
-def _end(process: subprocess.Popen[bytes]) -> None:
-    process.terminate()
-    try:
-        process.wait(STOP_S)
-    except subprocess.TimeoutExpired:
-        process.kill()
-        process.wait()

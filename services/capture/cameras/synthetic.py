@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 
+from common.boards import read_board
 from common.config import Rig
 from common.config.models import CameraConfig, SyntheticOptions
 from common.geometry import CameraModel
@@ -43,6 +44,7 @@ class SyntheticCamera:
             speed=options.speed,
             clutter=options.clutter,
             light=options.light,
+            board=None if options.board is None else read_board(rig.resolve(options.board)),
         )
         self._camera = SceneCamera(scene, model, view_deg=options.view)
         self._next = 0
