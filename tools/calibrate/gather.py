@@ -56,17 +56,16 @@ def gather(args: argparse.Namespace) -> Gathered:
     offline = args.images is not None or args.video is not None
     if args.live and offline:
         raise ConfigError("--live takes views from a running camera; leave --images and --video out")
-    if not offline and args.views is None and args.camera is None:
-        raise ConfigError(
-            "where do the views come from? --camera NAME (live), --images DIR, --video FILE, or --views FILE of an "
-            "earlier run"
-        )
     board, views = (None, []) if args.views is None else load_views(args.views)
     if args.board is not None or board is None:
         given = chosen_board(args)
         if board is not None and given.points().mm.tolist() != board.points().mm.tolist():
             raise RefusedError(f"the views in {args.views} are of another board", code="no_views")
         board = given
+    if not offline and args.views is None and args.camera is None:
+        raise ConfigError(
+            "where are the pictures? --camera NAME (live), --images DIR, --video FILE, or --views FILE of an earlier run"
+        )
     if args.live or not (offline or args.views is not None):
         return _live(args, board, views)
     return _searched(args, Gathered(board, views, out=args.out))
