@@ -52,16 +52,17 @@ class Recorder:
     def record(self, order: RecordOrder) -> Request | None:
         """Take on a single request; its answer comes when all its samples are durable, or at its deadline.
 
-        An order that was answered already (its answer was lost, or crossed a repeat) gets the same answer again.
+        None for an order that is known: control repeats what is old. One that was answered already (its answer was
+        lost, or crossed the repeat) gets the same answer again.
         """
         if order.key in self._answered:
             self._reply(self._answered[order.key])
             return None
-        known = next((item for item in self.requests if item.order.key == order.key), None)
-        if known is None:
-            known = Request.of(order)
-            self.requests.append(known)
-        return known
+        if any(item.order.key == order.key for item in self.requests):
+            return None
+        request = Request.of(order)
+        self.requests.append(request)
+        return request
 
     def start(self, order: StartOrder, resumed: CameraLedger | None = None) -> None:
         """Begin a recording on one camera; one that is known already goes on as it is."""

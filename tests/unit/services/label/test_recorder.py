@@ -133,8 +133,8 @@ def test_a_late_sample_is_pending_in_the_answer_and_settled_by_the_ledger(bench:
 
 
 def test_a_repeated_order_is_the_same_order(bench: Bench) -> None:
-    bench.recorder.record(order())
-    bench.recorder.record(order())
+    assert bench.recorder.record(order(frame=4)) is not None
+    assert bench.recorder.record(order(frame=4)) is None, "whoever looks for its frame again finds it gone"
     assert len(bench.recorder.requests) == 1
 
 
