@@ -104,6 +104,8 @@ WORDS: dict[str, Words] = {
     "bad_message": Words(
         "Two services don't understand each other.", "Are all of the same release? Restart the stack."
     ),
+    # --- exporting --------------------------------------------------------------------------------------------
+    "bad_out": Words("The export can't go there."),
     # --- calibrating ------------------------------------------------------------------------------------------
     "no_picture": Words("There is no picture to look at."),
     "no_views": Words("The kept views can't be used.", "Look for the board anew with --images or --video."),

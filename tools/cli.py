@@ -51,6 +51,9 @@ SUB_COMMANDS = (
     SubCommand(
         "calibrate", "tools.calibrate.command", "calibrate a camera from pictures of a board, and say how good it is"
     ),
+    SubCommand(
+        "export", "tools.export.command", "make a training set of sessions in a trainer's own format, and check it"
+    ),
     SubCommand("bench", "tools.bench.command", "measure the real stack on this machine"),
     SubCommand("evaluate", "tools.evaluate.command", "measure labels and erased pictures against the truth"),
     SubCommand("keys", "tools.commands.keys", "make the CURVE keys that a command socket off loopback needs"),

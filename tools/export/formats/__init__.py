@@ -1,0 +1,1 @@
+"""The formats, one module a family; reached through the registry only."""
