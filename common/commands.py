@@ -12,12 +12,14 @@ from typing import Annotated, Literal, Self
 from pydantic import BaseModel, ConfigDict, Field, model_validator
 
 from common.ids import NAME_PATTERN
+from common.ledgers import AutoLimits
 from common.messages import MOST_LISTED, SampleFilter
 
 ALL_CAMERAS = "all"
 
 Camera = Annotated[str, Field(pattern=NAME_PATTERN, description="a camera's name, or 'all'")]
 Recording = Annotated[str, Field(pattern=NAME_PATTERN)]
+_AUTO = "with mode 'auto', else as the rig file says: {}"
 Background = Annotated[bool, Field(description="record pictures *without* a configured object in view")]
 
 
@@ -59,6 +61,26 @@ class StartCommand(Command):
     until_count: Annotated[int | None, Field(ge=1, le=10_000_000, description="end by itself after so many")] = None
     mode: Annotated[Literal["all", "auto"], Field(description="'auto' takes only new views")] = "all"
     background: Background = False
+    new_deg: Annotated[float | None, Field(gt=0, le=180, description=_AUTO.format("new: by so many degrees"))] = None
+    new_mm: Annotated[float | None, Field(gt=0, le=100_000, description=_AUTO.format("or by so many mm"))] = None
+    sharpness: Annotated[
+        float | None, Field(ge=0, le=100, description=_AUTO.format("100: a marker's edge within a pixel, 10: in ten"))
+    ] = None
+    fit_px: Annotated[float | None, Field(gt=0, le=100, description=_AUTO.format("reprojection error up to"))] = None
+
+    @model_validator(mode="after")
+    def _limits_need_auto(self) -> Self:
+        given = [name for name in AutoLimits.model_fields if getattr(self, name) is not None]
+        if given and self.mode != "auto":
+            raise ValueError(f"'{given[0]}' belongs to mode 'auto'")
+        return self
+
+    def limits(self, default: AutoLimits) -> AutoLimits | None:
+        """The limits of mode `auto`: those given, for the others ``default``; None for mode `all`."""
+        if self.mode != "auto":
+            return None
+        given = {name: getattr(self, name) for name in AutoLimits.model_fields}
+        return default.model_copy(update={name: value for name, value in given.items() if value is not None})
 
 
 class StopCommand(Command):

@@ -52,8 +52,24 @@ RecordingMode = Literal["record", "all", "auto"]
 RecordingPhase = Literal["running", "finishing", "ended", "interrupted"]
 
 
+class AutoLimits(Part):
+    """What `mode: auto` takes: a view that is new (by so many degrees *or* so many mm), sharp, and fits well.
+
+    ``sharpness``: 100 = a marker's edge goes from black to white within one pixel, 10 = within ten; 0 = not looked at.
+    ``fit_px``: the highest reprojection error (rms).
+    """
+
+    new_deg: Annotated[float, Field(gt=0, le=180)] = 12.0
+    new_mm: Annotated[float, Field(gt=0, le=100_000)] = 80.0
+    sharpness: Annotated[float, Field(ge=0, le=100)] = 12.0
+    fit_px: Annotated[float, Field(gt=0, le=100)] = 1.5
+
+
 class RecordingSpec(Part):
-    """What was asked for. ``spread_ms``: how far apart in time the frames are that several cameras took together."""
+    """What was asked for. ``spread_ms``: how far apart in time the frames are that several cameras took together.
+
+    ``auto``: with the mode `auto` only.
+    """
 
     recording: str
     mode: RecordingMode
@@ -63,6 +79,7 @@ class RecordingSpec(Part):
     background: bool = False
     started_at: str
     spread_ms: float | None = None
+    auto: AutoLimits | None = None
 
 
 class Ledger(Part):

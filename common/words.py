@@ -26,6 +26,7 @@ WORDS: dict[str, Words] = {
     "bad_pose": Words("The markers don't fit together.", "Check marker sizes and offsets in the rig file."),
     "contradicts": Words("The markers contradict each other.", "Check which marker sits on which side."),
     "bad_fit": Words("The object's pose is not exact enough.", "Hold still, come nearer, or give more light."),
+    "blurred": Words("The picture is blurred.", "Hold still, give more light, or focus the camera."),
     "no_pose": Words("No pose follows from what is seen.", "Show more of the object's markers."),
     # --- cameras and frames ------------------------------------------------------------------------------------
     "no_camera": Words("There is no such camera.", "Take one of those named; 'tagmill status' lists them."),

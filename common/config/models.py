@@ -13,6 +13,7 @@ from common.config.realsense import RealSenseOptions
 from common.config.section import Section
 from common.ids import NAME_PATTERN
 from common.labels import FaceName
+from common.ledgers import AutoLimits
 
 Name = Annotated[str, Field(pattern=NAME_PATTERN)]
 PositiveMm = Annotated[float, Field(gt=0, allow_inf_nan=False)]
@@ -122,9 +123,13 @@ class RingConfig(Section):
 
 
 class RecordConfig(Section):
-    """``incomplete``: what to do with a frame in which an object that must be there has no pose."""
+    """``incomplete``: what to do with a frame in which an object that must be there has no pose.
+
+    ``auto``: what `start` with `mode: auto` takes, unless it says otherwise.
+    """
 
     incomplete: Literal["refuse", "keep"] = "refuse"
+    auto: AutoLimits = AutoLimits()
 
 
 class PoseConfig(Section):

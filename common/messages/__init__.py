@@ -23,7 +23,7 @@ from common.messages.orders import (
     StoreSideOrder,
 )
 from common.messages.samples import MOST_LISTED, SampleFilter, SampleItem, SampleList, SampleObject, SamplesChanged
-from common.messages.state import RecordingState, ServiceState, Shares, Warned
+from common.messages.state import AutoNow, AutoSeen, RecordingState, ServiceState, Shares, Warned
 
 __all__ = [
     "MARKERS",
@@ -31,6 +31,8 @@ __all__ = [
     "MOST_LISTED",
     "SCHEMA_VERSION",
     "Answer",
+    "AutoNow",
+    "AutoSeen",
     "CameraState",
     "DetectedMarker",
     "Detections",

@@ -47,9 +47,35 @@ class Shares(Message):
     label: dict[str, int]
 
 
+class AutoSeen(Part):
+    """An object as `mode: auto` sees it in the newest frame, beside its limits.
+
+    ``new_deg``: degrees to the nearest view taken from about that distance; ``new_mm``: mm to the nearest one from
+    about that direction; None where there is none. ``sharpness`` None: not measured (yet).
+    """
+
+    object: str
+    new_deg: float | None
+    new_mm: float | None
+    sharpness: float | None
+    fit_px: float
+
+
+class AutoNow(Part):
+    """What `mode: auto` thinks of frame ``frame``; ``reason`` is why it isn't taken, None: it is worth a sample."""
+
+    frame: int
+    reason: str | None
+    objects: tuple[AutoSeen, ...]
+
+
 class RecordingState(Message):
-    """A recording as its label process sees it; ``waiting_for`` is the last reason for which no sample was taken."""
+    """A recording as its label process sees it; ``waiting_for`` is the last reason for which no sample was taken.
+
+    With the mode `auto` it is told five times a second, with ``auto``.
+    """
 
     camera: str
     ledger: Ledger
     waiting_for: str | None = None
+    auto: AutoNow | None = None

@@ -10,5 +10,17 @@ from common.quality.duplicates import (
     near_views,
     perceptual_hash,
 )
+from common.quality.sharpness import edge_sharpness, sharpness_of
 
-__all__ = ["ALIKE_BITS", "ALIKE_DEG", "ALIKE_SHARE", "View", "blur", "differing_bits", "near_views", "perceptual_hash"]
+__all__ = [
+    "ALIKE_BITS",
+    "ALIKE_DEG",
+    "ALIKE_SHARE",
+    "View",
+    "blur",
+    "differing_bits",
+    "edge_sharpness",
+    "near_views",
+    "perceptual_hash",
+    "sharpness_of",
+]

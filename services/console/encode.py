@@ -6,7 +6,7 @@ import os
 import threading
 from collections.abc import Iterable
 from concurrent.futures import Future, ThreadPoolExecutor
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from typing import Literal
 
 import cv2
@@ -15,12 +15,16 @@ from numpy.typing import NDArray
 
 from common.errors import FrameLostError
 from common.frames import FrameReader
+from common.labels import Quad
 from common.messages import FrameRef
+from common.quality import sharpness_of
 from services.console.depth import DepthColours
 
 Kind = Literal["rgb", "depth", "after"]
 KINDS: tuple[Kind, ...] = ("rgb", "depth", "after")
 Bgr = NDArray[np.uint8]
+Quads = dict[str, tuple[Quad, ...]]
+"""The markers' corners of each object whose sharpness is asked for."""
 
 QUALITY = 75
 _NICE = 5
@@ -29,28 +33,33 @@ _NICE = 5
 
 @dataclass(frozen=True, slots=True)
 class Encoded:
-    """One picture in some sizes: divisor to (JPEG, width, height); ``range_mm`` of a depth picture."""
+    """One picture in some sizes: divisor to (JPEG, width, height); ``range_mm`` of a depth picture; ``sharpness`` by
+    object, of those asked for.
+    """
 
     source: tuple[int, int]
     sizes: dict[int, tuple[bytes, int, int]]
     range_mm: tuple[float, float] | None = None
+    sharpness: dict[str, float] = field(default_factory=dict)
 
 
 class Encoder:
     """The worker thread with the rings that it has mapped. ``encode`` may be called from one thread only."""
 
     def __init__(self) -> None:
-        self._worker = ThreadPoolExecutor(1, thread_name_prefix="console-encode", initializer=_be_nice)
+        self._worker = ThreadPoolExecutor(1, thread_name_prefix="console-encode", initializer=be_nice)
         self._readers: dict[tuple[str, Kind], FrameReader] = {}
         self._depths: dict[str, DepthColours] = {}
         self._closed = False
 
-    def encode(self, ref: FrameRef, kind: Kind, divisors: Iterable[int], unit_mm: float | None) -> Future[Encoded]:
+    def encode(
+        self, ref: FrameRef, kind: Kind, divisors: Iterable[int], unit_mm: float | None, quads: Quads
+    ) -> Future[Encoded]:
         """Begin on a picture; the future raises FrameLostError if it was overwritten (or its ring is gone).
 
         ``ref`` says where the pixels are. ``unit_mm`` is what a depth picture counts in.
         """
-        return self._worker.submit(self._encode, ref, kind, tuple(sorted(set(divisors))), unit_mm)
+        return self._worker.submit(self._encode, ref, kind, tuple(sorted(set(divisors))), unit_mm, quads)
 
     def forget(self, camera: str, kind: Kind) -> None:
         """Nobody looks at it any more: let go of its ring."""
@@ -66,7 +75,9 @@ class Encoder:
 
     # --- in the thread ------------------------------------------------------------------------------------
 
-    def _encode(self, ref: FrameRef, kind: Kind, divisors: tuple[int, ...], unit_mm: float | None) -> Encoded:
+    def _encode(
+        self, ref: FrameRef, kind: Kind, divisors: tuple[int, ...], unit_mm: float | None, quads: Quads
+    ) -> Encoded:
         try:
             reader = self._reader(ref, kind)
             with reader.view(ref.frame) as view:
@@ -74,12 +85,14 @@ class Encoder:
                     if view.depth is None:
                         raise FrameLostError(f"{ref.camera} gives no depth")
                     colours = self._depths.setdefault(ref.camera, DepthColours())
-                    pictures = {step: colours.paint(view.depth[::step, ::step], unit_mm or 1.0) for step in divisors}
                     height, width = view.depth.shape
-                    sizes = {step: _jpeg(picture) for step, picture in pictures.items()}
+                    unit = unit_mm or 1.0
+                    sizes = {step: _jpeg(colours.paint(view.depth[::step, ::step], unit)) for step in divisors}
                     return Encoded((width, height), sizes, colours.range_mm)
                 height, width = view.bgr.shape[:2]
-                return Encoded((width, height), {step: _jpeg(_reduced(view.bgr, step)) for step in divisors})
+                pictures = {step: _jpeg(_reduced(view.bgr, step)) for step in divisors}
+                sharp = {name: value for name, of in quads.items() if (value := sharpness_of(view.bgr, of)) is not None}
+                return Encoded((width, height), pictures, sharpness=sharp)
         except FrameLostError:
             # Perhaps its owner died and the mapping is all that is left of the ring: look it up anew next time.
             self._unmap(ref.camera, kind)
@@ -102,7 +115,7 @@ class Encoder:
             self._unmap(camera, kind)
 
 
-def _be_nice() -> None:
+def be_nice() -> None:
     """On Linux niceness belongs to a thread; a machine that forbids it encodes at normal priority."""
     os.setpriority(os.PRIO_PROCESS, threading.get_native_id(), _NICE)
 

@@ -12,11 +12,11 @@ from common import clock
 from common.errors import FrameLostError
 from common.messages import CameraState, FrameRef, Labels, Preview
 from common.service.meters import Rate, Tally
-from services.console.encode import Encoded, Encoder, Kind
+from services.console.encode import Encoded, Encoder, Kind, Quads
 from services.console.join import Join, Joined
 
 _LABEL_FIELDS = {"objects", "left_out", "missing"}
-WATCH_LEASE_NS = 2_000_000_000
+MEASURE_EVERY_NS = 400_000_000
 
 
 @dataclass(frozen=True, slots=True)
@@ -57,7 +57,7 @@ class Feeds:
     ) -> None:
         self.skipped = Tally()
         self.encoded = Rate()
-        self.encoded_count = 0
+        self.sharpness: dict[str, float] = {}
         self._loop = loop
         self._why = why
         self._listen = listen
@@ -66,6 +66,7 @@ class Feeds:
         self._joins: dict[str, Join] = {}
         self._cameras: dict[str, CameraState] = {}
         self._timers: dict[str, asyncio.TimerHandle] = {}
+        self._measured_ns: dict[str, int] = {}
 
     # --- who watches --------------------------------------------------------------------------------------
 
@@ -170,9 +171,19 @@ class Feeds:
             self.skipped.add("nobody_ready")
             return
         feed.busy = True
-        job = self._encoder.encode(shown, feed.kind, (divisor for _, divisor in wanting), state.depth_unit_mm)
+        divisors = (divisor for _, divisor in wanting)
+        quads = self._to_measure(feed, labels)
+        job = self._encoder.encode(shown, feed.kind, divisors, state.depth_unit_mm, quads)
         done = asyncio.wrap_future(job, loop=self._loop)
         done.add_done_callback(lambda future: self._encoded(feed, future, wanting, of, labels))
+
+    def _to_measure(self, feed: Feed, labels: Labels | None) -> Quads:
+        """Now and then, how sharp the objects' markers are."""
+        now = clock.monotonic_ns()
+        if feed.kind != "rgb" or labels is None or now - self._measured_ns.get(feed.camera, 0) < MEASURE_EVERY_NS:
+            return {}
+        self._measured_ns[feed.camera] = now
+        return {item.name: tuple(side.marker_corners for side in item.sides) for item in labels.objects}
 
     def _encoded(
         self,
@@ -198,7 +209,7 @@ class Feeds:
         self, feed: Feed, encoded: Encoded, wanting: list[tuple[View, int]], of: FrameRef, labels: Labels | None
     ) -> None:
         self.encoded.mark()
-        self.encoded_count += 1
+        self.sharpness |= {f"{feed.camera}/{name}": value for name, value in encoded.sharpness.items()}
         label = b"null" if labels is None else _label_json(labels)
         pictures = {
             divisor: Picture(jpeg, self._tail(feed, encoded, (width, height), of, label), of.captured_mono_ns)

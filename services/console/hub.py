@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import asyncio
 import json
 from collections import deque
 from dataclasses import dataclass
@@ -38,6 +39,7 @@ class StateHub:
         self.topics: dict[str, tuple[int, str]] = {}
         self.events: deque[Event] = deque(maxlen=EVENTS_KEPT)
         self.last_event = 0
+        self.watched = asyncio.Event()
         self._data: dict[str, str] = {}
         self._seq = 0
         self._viewers: list[Listener] = []
@@ -48,12 +50,17 @@ class StateHub:
         return len(self._viewers)
 
     def add(self, viewer: Listener) -> None:
-        """A page came."""
+        """A page came; the first one makes ``watched`` true."""
         self._viewers.append(viewer)
+        self.watched.set()
 
     def remove(self, viewer: Listener) -> None:
-        """It left."""
+        """It left; after the last one nothing is kept up to date, so nothing old is kept."""
         self._viewers.remove(viewer)
+        if not self._viewers:
+            self.watched.clear()
+            self.topics.clear()
+            self._data.clear()
 
     def tell(self, topic: str, data: Any) -> bool:
         """The newest of a topic; True if it differs from what was told before."""

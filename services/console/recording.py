@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections import Counter
+from collections.abc import Mapping
 from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any
 
@@ -41,7 +42,7 @@ class RecordView:
         self._last: dict[str, str] | None = None
         self._stored = 0
         self._saved = Rate(30.0)
-        self.sample_bytes = float(_SAMPLE_BYTES)
+        self._sample_bytes = float(_SAMPLE_BYTES)
 
     # --- news ---------------------------------------------------------------------------------------------
 
@@ -72,8 +73,7 @@ class RecordView:
         self._stored = changed.stored
         if changed.what == "stored" and changed.samples:
             self._saved.mark(len(changed.samples))
-            name = changed.samples[-1]
-            self._last = {"sample": name, "time": sample_captured_at(name), "camera": sample_camera(name)}
+            self._saw(changed.samples[-1])
         elif changed.what == "deleted" and self._last is not None and self._last["sample"] in changed.samples:
             self._last = None
 
@@ -95,14 +95,30 @@ class RecordView:
         if code is not None:
             self._refused.append((now_ns, str(code)))
 
+    def live(self, now_ns: int) -> list[RecordingState]:
+        """The recordings that label speaks of at present and that have not ended."""
+        fresh = [item.state for item in self._heard.values() if now_ns - item.at_ns < FRESH_NS]
+        return [state for state in fresh if state.ledger.phase in {"running", "finishing"}]
+
+    def seed(self, stored: Mapping[str, Any], mean_bytes: float | None) -> None:
+        """What was there before the console: how many samples, the newest one, how large they are."""
+        self._stored = len(stored)
+        if self._last is None and stored:
+            self._saw(max(stored))
+        if mean_bytes is not None:
+            self._sample_bytes = mean_bytes
+
+    def _saw(self, name: str) -> None:
+        self._last = {"sample": name, "time": sample_captured_at(name), "camera": sample_camera(name)}
+
     # --- the topic ----------------------------------------------------------------------------------------
 
     def data(self, state: State, now_ns: int) -> dict[str, Any]:
         """See the contract of the WebSocket (docs/reference/console.md)."""
         self._refused = [item for item in self._refused if now_ns - item[0] < REFUSED_FOR_NS]
-        live = [item for item in self._heard.values() if now_ns - item.at_ns < FRESH_NS]
-        running = [item.state for item in live if item.state.ledger.phase == "running"]
-        finishing = [item.state for item in live if item.state.ledger.phase == "finishing"]
+        live = self.live(now_ns)
+        running = [item for item in live if item.ledger.phase == "running"]
+        finishing = [item for item in live if item.ledger.phase == "finishing"]
         can = {camera: self._can(state, camera, now_ns) for camera in state.cameras}
         blocked = self._blocked(state)
         shown: dict[str, Any] = {
@@ -167,12 +183,12 @@ class RecordView:
         free = (status.get("disk") or {}).get("free_bytes")
         if free is None:
             return {"free_bytes": None, "samples_left": None, "hours_left": None}
-        left = int(free / self.sample_bytes)
+        left = int(free / self._sample_bytes)
         rate = self._saved.per_second()
         return {
             "free_bytes": free,
             "samples_left": left,
-            "hours_left": round(left / rate / 3600, 1) if rate > 0 else None,
+            "hours_left": round(left / (rate or 1.0) / 3600, 1),  # as of late, else at one a second
         }
 
 

@@ -13,8 +13,8 @@ from pathlib import Path
 
 from common.errors import ConfigError
 from common.service import Context, Report
-from services.console.app import Console
 from services.console.config import console_address
+from services.console.console import Console
 from services.console.guard import is_loopback, new_token, rules_for
 from services.console.server import Server, listen, server_for
 
@@ -62,6 +62,8 @@ class ConsoleService:
         """Serve for a moment."""
         assert self._loop is not None
         self._loop.run_until_complete(asyncio.sleep(timeout_s))
+        if self._console is not None:
+            self._console.check()
         if self._serving is not None and self._serving.done():
             self._serving.result()
             raise RuntimeError("the HTTP server has ended by itself")

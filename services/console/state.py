@@ -12,7 +12,7 @@ from common.words import words_for
 from services.console.events import ServiceWatch
 from services.console.hub import StateHub
 from services.console.line import Plain
-from services.console.recording import RecordView
+from services.console.recording import STALE_LABEL_NS, RecordView
 
 LABELS_LATE = "labels_late"
 QUIET_NS = 10_000_000_000
@@ -81,6 +81,7 @@ class State:
         self._watch.tick(now)
         self.hub.tell("labels", {name: self._in_short(*seen, now) for name, seen in self.labels.items()})
         self.hub.tell("record", self.record.data(self, now))
+        self.hub.tell("auto", {state.camera: _auto(state) for state in self.record.live(now) if state.auto is not None})
 
     def heard_status(self, answer: Plain) -> None:
         """What ``status`` answered, or why it didn't."""
@@ -89,6 +90,11 @@ class State:
         if answer.get("ok"):
             self.hub.tell("session", {"session": answer.get("session"), "dataset": answer.get("dataset")})
             self.hub.tell("disk", self.record.disk(answer))
+
+    def newest_labels(self) -> list[Labels]:
+        """The newest label of each camera that gives labels at present."""
+        now = clock.monotonic_ns()
+        return [labels for labels, heard_ns in self.labels.values() if now - heard_ns < STALE_LABEL_NS]
 
     # --- questions ----------------------------------------------------------------------------------------
 
@@ -127,3 +133,17 @@ class State:
             "left_out": [{"marker": left.marker, "reason": left.reason} for left in labels.left_out],
             "missing": [{"object": item.object, "reason": item.reason} for item in labels.missing],
         }
+
+
+def _auto(state: RecordingState) -> Plain:
+    """What `mode: auto` thinks of the newest frame, with the limits it goes by."""
+    assert state.auto is not None
+    spec, reason = state.ledger.spec, state.auto.reason
+    return {
+        "recording": spec.recording,
+        "limits": None if spec.auto is None else spec.auto.model_dump(mode="json"),
+        "frame": state.auto.frame,
+        "reason": reason,
+        "title": "This view is worth a sample." if reason is None else words_for(reason).title,
+        "objects": [item.model_dump(mode="json") for item in state.auto.objects],
+    }

@@ -15,6 +15,7 @@ from common.ids import NAME_PATTERN
 from services.console.encode import Kind
 from services.console.feeds import Feeds, Picture
 from services.console.hub import StateHub
+from services.console.metrics import Metrics
 from services.console.pacing import Pacing
 
 VERSION = 1
@@ -95,10 +96,11 @@ class ShownView:
 class Viewer:
     """One connected page."""
 
-    def __init__(self, socket: WebSocket, feeds: Feeds, hub: StateHub) -> None:
+    def __init__(self, socket: WebSocket, feeds: Feeds, hub: StateHub, measured: Metrics) -> None:
         self._socket = socket
         self._feeds = feeds
         self._hub = hub
+        self._measured = measured
         self._views: dict[str, ShownView] = {}
         self._awake = asyncio.Event()
         self._told: dict[str, int] = {}
@@ -178,8 +180,10 @@ class Viewer:
 
     def _acknowledged(self, name: str, seq: int) -> None:
         view = self._views.get(name)
-        if view is None or view.pacing.acknowledged(seq, clock.monotonic_ns()) is None:
+        took_ns = None if view is None else view.pacing.acknowledged(seq, clock.monotonic_ns())
+        if view is None or took_ns is None:
             return
+        self._measured.drawn.observe(took_ns / 1e9)
         if view.slot is not None:
             self.wake()
 
@@ -229,6 +233,7 @@ class Viewer:
             "reduced": view.pacing.reduced,
         }
         header = json.dumps(head, separators=(",", ":")).encode()[:-1] + b"," + picture.tail + b"}"
+        self._measured.sent.labels(view.wish.kind).observe((now - picture.captured_ns) / 1e9)
         data = b"".join((struct.pack("<I", len(header)), header, picture.jpeg))
         await asyncio.wait_for(self._socket.send_bytes(data), SEND_S)
 

@@ -103,6 +103,7 @@ class RecordHandlers:
             until_count=command.until_count,
             background=command.background,
             started_at=clock.iso_utc(now),
+            auto=command.limits(self._stack.rig.config.record.auto),
         )
         answers = yield Batch(
             tuple(

@@ -33,6 +33,7 @@ def status_answer(stack: Stack, now_ns: int) -> Plain:
         "session": stack.session,
         "dataset": str(stack.rig.dataset_root),
         "rig": str(stack.rig.path),
+        "rig_fingerprint": stack.rig.fingerprint,
         "prefix": stack.endpoints.prefix,
         "versions": {"tagmill": VERSION, "messages": SCHEMA_VERSION},
     }
@@ -47,7 +48,7 @@ def _service(stack: Stack, name: str, seen: SeenService, now_ns: int) -> Plain:
     } | state.model_dump(
         include={
             *("phase", "pid", "instance", "camera", "cameras", "rates", "dropped", "numbers"),
-            *("last_error", "warnings"),
+            *("texts", "last_error", "warnings"),
         },
         mode="json",
     )

@@ -7,20 +7,21 @@ from collections.abc import Callable, Iterator
 
 from common import clock
 from common.errors import FrameLostError, RefusedError
-from common.ledgers import CameraLedger
+from common.ledgers import AutoLimits, CameraLedger
 from common.log import get
 from common.messages import (
     Answer,
     CameraState,
     Detections,
     ErrorInfo,
+    FrameRef,
     LedgerOrder,
     RecordingState,
     RecordOrder,
     StartOrder,
 )
 from services.label.account import Account
-from services.label.auto import Views
+from services.label.auto import Auto, Measure
 from services.label.labelling import Labelled
 from services.label.ledgers import Ledgers
 from services.label.requests import Recording, Request, explain
@@ -41,7 +42,7 @@ class Recorder:
         self._reply = reply
         self._ledgers = Ledgers(boot)
         self._answered: OrderedDict[str, Answer] = OrderedDict()
-        self._views: dict[Recording, Views] = {}
+        self._autos: dict[Recording, Auto] = {}
         self._stops: dict[Recording, list[str]] = {}
         self._ended_ns: dict[Recording, int] = {}
         self.requests: list[Request] = []
@@ -72,7 +73,7 @@ class Recorder:
         recording = Recording(order.spec, order.camera, Account(resumed))
         self.recordings[key] = recording
         if order.spec.mode == "auto":
-            self._views[recording] = Views()
+            self._autos[recording] = Auto(order.spec.auto or AutoLimits())
         get().info("recording.started", recording=key[0], camera=key[1], resumed=resumed is not None)
 
     def stop(self, recording: str, camera: str, order_key: str) -> bool:
@@ -111,14 +112,14 @@ class Recorder:
         for taker in self._open(detections.ref.camera):
             taker.account.detected[detections.source] += 1
 
-    def frame(self, detections: Detections, labelled: Labelled, begin: Begin) -> None:
+    def frame(self, detections: Detections, labelled: Labelled, begin: Begin, measure: Measure = dict) -> None:
         """A labelled frame: account for it, and begin a sample if somebody wants it."""
         wanting: list[Taker] = []
         for taker in self._open(detections.ref.camera):
             counted = taker.account.arrived(detections.ref)
             if not counted and isinstance(taker, Recording):
                 continue
-            why = taker.wants(detections.ref) or self._not_worth(taker, labelled)
+            why = taker.wants(detections.ref) or self._not_worth(taker, detections.ref, labelled, measure)
             if counted or why is None:
                 taker.account.looked_at(detections.source, counted=counted)
             if why is None:
@@ -157,17 +158,16 @@ class Recorder:
             for taker in takers:
                 taker.account.ordered(name)
                 taker.taken(detections.ref)
-                if isinstance(taker, Recording) and taker in self._views:
-                    self._views[taker].take(name, labelled.objects)
+                if isinstance(taker, Recording) and taker in self._autos:
+                    self._autos[taker].take(name, labelled.objects)
 
-    def _not_worth(self, taker: Taker, labelled: Labelled) -> str | None:
-        if isinstance(taker, Request) or taker not in self._views:
+    def _not_worth(self, taker: Taker, ref: FrameRef, labelled: Labelled, measure: Measure) -> str | None:
+        if isinstance(taker, Request) or taker not in self._autos:
             return None
-        if labelled.missing:
-            return "incomplete"
-        if not labelled.objects:
-            return None
-        return self._views[taker].judge(labelled.objects)
+        auto = self._autos[taker]
+        if labelled.missing or not labelled.objects:
+            return auto.nothing(ref.frame, "incomplete" if labelled.missing else None)
+        return auto.judge(ref.frame, labelled.objects, measure, clock.monotonic_ns())
 
     def outcome(self, outcome: Outcome) -> None:
         """A sample is durable, or was refused on its way."""
@@ -177,8 +177,8 @@ class Recorder:
                 taker.stored(name)
             else:
                 taker.failed(name, reason, outcome.message)
-                if isinstance(taker, Recording) and taker in self._views:
-                    self._views[taker].forget(name)
+                if isinstance(taker, Recording) and taker in self._autos:
+                    self._autos[taker].forget(name)
         if reason is not None:
             get().info("sample.refused", sample=name, reason=reason, message=outcome.message)
 
@@ -201,7 +201,7 @@ class Recorder:
                 recording.finish(f"{recording.spec.until_count} samples are recorded")
         for item in [item for item, ended in self._ended_ns.items() if now - ended > _REMEMBER_ENDED_NS]:
             del self._ended_ns[item]
-            self._views.pop(item, None)
+            self._autos.pop(item, None)
             self.recordings.pop((item.recording, item.camera), None)
 
     def finish_all(self, why: str) -> None:
@@ -249,10 +249,21 @@ class Recorder:
         for order_key in self._stops.pop(item, []):
             self._reply(Answer(key=order_key, ledgers=(item.ledger(),), error=error))
 
+    @property
+    def judging(self) -> bool:
+        """Whether a recording runs that chooses its views."""
+        return any(item.phase == "running" for item in self._autos)
+
     def states(self) -> Iterator[RecordingState]:
         """What the bus is told of the recordings."""
         for item in self.recordings.values():
-            yield RecordingState(camera=item.camera, ledger=item.ledger(), waiting_for=item.waiting_for)
+            auto = self._autos.get(item)
+            yield RecordingState(
+                camera=item.camera,
+                ledger=item.ledger(),
+                waiting_for=item.waiting_for,
+                auto=None if auto is None else auto.now,
+            )
 
 
 def _watch_end(recording: Recording, state: CameraState, now: int) -> None:

@@ -258,7 +258,8 @@ class LabelService:
             took_ns=now - began,
         )
         self._publisher.publish(LABELS, (camera.name,), labels)
-        self._recorder.frame(detections, labelled, partial(self._begin, labelled))
+        measure = partial(self._streams.sharpness, camera, detections.ref, labelled.objects)
+        self._recorder.frame(detections, labelled, partial(self._begin, labelled), measure)
         self._pace.mark(now - detections.ref.captured_mono_ns)
         if self._previews.watched(camera.name):
             self._previews.begin(camera, detections, self._streams.around(camera, detections), self._finisher)

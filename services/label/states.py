@@ -9,10 +9,11 @@ from common.topics import RECORDING
 from services.label.recorder import Recorder
 
 _EVERY_NS = 1_000_000_000
+_JUDGING_EVERY_NS = 200_000_000
 
 
 class States:
-    """RECORDING once a second, and at once when a recording's phase has changed."""
+    """RECORDING once a second, five times while a recording chooses its views, and at once when a phase has changed."""
 
     def __init__(self, publisher: Publisher) -> None:
         self._publisher = publisher
@@ -29,7 +30,8 @@ class States:
         phases = {key: item.phase for key, item in recorder.recordings.items()}
         if now < self._due_ns and phases == self._phases:
             return
-        self._due_ns, self._phases = now + _EVERY_NS, dict(phases)
+        every_ns = _JUDGING_EVERY_NS if recorder.judging else _EVERY_NS
+        self._due_ns, self._phases = now + every_ns, dict(phases)
         for state in recorder.states():
             self._publisher.publish(RECORDING, (state.camera, state.ledger.spec.recording), state)
 

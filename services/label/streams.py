@@ -7,7 +7,10 @@ from collections.abc import Sequence
 from structlog.typing import FilteringBoundLogger
 
 from common import clock
-from common.messages import Detections
+from common.errors import FrameLostError
+from common.labels import ObjectLabel
+from common.messages import Detections, FrameRef
+from common.quality import sharpness_of
 from services.label.cameras import Camera
 from services.label.contradictions import Contradictions
 from services.label.finish import Finisher
@@ -67,6 +70,20 @@ class Streams:
         if moment is None or not objects or takers[0].background or until <= now:
             return None
         return Wait(camera.name, moment, objects, until)
+
+    @staticmethod
+    def sharpness(camera: Camera, ref: FrameRef, objects: Sequence[ObjectLabel]) -> dict[str, float]:
+        """How sharp each object's markers are in a frame (0..100); none for a frame that is gone."""
+        found: dict[str, float] = {}
+        try:
+            with camera.pixels(ref) as view:
+                for item in objects:
+                    value = sharpness_of(view.bgr, (side.marker_corners for side in item.sides))
+                    if value is not None:
+                        found[item.name] = value
+        except FrameLostError:
+            return {}
+        return found
 
     def go_on(self, samples: Samples, finisher: Finisher, *, all_: bool = False) -> None:
         """Finish samples that have waited long enough (or ``all_``); after a camera's end no further frame comes."""

@@ -17,7 +17,7 @@ _LATE_S = 2.0
 
 def status_view(answer: Plain) -> RenderableType:
     """The whole stack: sentences first, then services, cameras, recordings."""
-    parts: list[RenderableType] = [_headline(answer), *_warnings(answer), _services(answer)]
+    parts: list[RenderableType] = [_headline(answer), *_warnings(answer), _console(answer), _services(answer)]
     if answer["cameras"]:
         parts.append(_cameras(answer))
     if answer["recordings"]:
@@ -45,6 +45,13 @@ def _warnings(answer: Plain) -> list[Text]:
     for name, recording in answer["recordings"].items():
         lines.extend(f"{name} waits on {camera}: {why}" for camera, why in recording["waiting_for"].items())
     return [Text(f"! {line}", style="yellow") for line in lines]
+
+
+def _console(answer: Plain) -> Text:
+    service = answer["services"].get("console")
+    if service is None or not service["alive"]:
+        return Text("no console runs; 'tagmill up' says why", style="dim")
+    return Text(f"console at {service['texts'].get('url', 'an address that it has not told yet')}")
 
 
 def _table(title: str, *columns: str) -> Table:

@@ -19,6 +19,12 @@ from tools.commands.show import ledger_view, progress_line
 LOOK_EVERY_S = 0.5
 START_S = 15.0
 GIVE_UP_S = 30.0
+_LIMITS = {
+    "new_deg": "a view is new by so many degrees",
+    "new_mm": "or by so many mm of distance",
+    "sharpness": "at least this sharp (100: an edge within a pixel, 10: within ten)",
+    "fit_px": "a reprojection error of at most this",
+}
 OVER = ("ended", "interrupted")
 
 
@@ -28,6 +34,8 @@ def add_parser(parser: argparse.ArgumentParser) -> None:
     parser.add_argument("--every", type=float, default=0.0, metavar="S", help="a sample every S seconds; 0: each frame")
     parser.add_argument("--until-count", type=int, metavar="N", help="end by itself after N samples of each camera")
     parser.add_argument("--mode", choices=("all", "auto"), default="all", help="auto takes only new views")
+    for name, words in _LIMITS.items():
+        parser.add_argument(f"--{name.replace('_', '-')}", type=float, metavar="X", help=f"auto: {words}")
     parser.add_argument("--background", action="store_true", help="pictures without an object")
     parser.add_argument("--wait", action="store_true", help="stay until the recording has ended")
 
@@ -41,6 +49,7 @@ def run(args: argparse.Namespace) -> int:
         "until_count": args.until_count,
         "mode": args.mode,
         "background": args.background,
+        **{name: getattr(args, name) for name in _LIMITS},
     }
     with connected(args) as client:
         answer = ask(client, request, START_S)

@@ -12,6 +12,7 @@ from pathlib import Path
 from common.bus import Endpoints
 from common.config import Rig
 from common.errors import ConfigError
+from tools.stack.console import no_console
 
 ROOT = Path(__file__).resolve().parents[2]
 """Where `services` is imported from."""
@@ -26,7 +27,7 @@ STOP_WAIT_S = 20
 
 # Stopped in reverse: first no new frames, then what is on its way is finished, the store after those who order
 # from it, the bus last.
-_CONTROL, _STORE, _LABEL, _DETECT, _CAPTURE = 10, 20, 30, 40, 50
+_CONTROL, _STORE, _LABEL, _DETECT, _CAPTURE, _CONSOLE = 10, 20, 30, 40, 50, 60
 
 
 @dataclass(frozen=True, slots=True)
@@ -40,15 +41,17 @@ class Program:
 
 
 def programs(rig: Rig, *, new_session: bool = False) -> tuple[Program, ...]:
-    """What runs for a rig: control, store, the label and detect workers, one capture a camera."""
+    """What runs for a rig: control, store, the label and detect workers, one capture a camera, the console."""
     workers = rig.config.workers
     store = ("--new-session",) if new_session else ()
+    console = (Program("console", "console", (), _CONSOLE),) if no_console(rig.config.network) is None else ()
     return (
         Program("control", "control", (), _CONTROL),
         Program("store", "store", store, _STORE),
         *_workers("label", workers.label, _LABEL),
         *_workers("detect", workers.detect, _DETECT),
         *(Program(f"capture-{name}", "capture", ("--camera", name), _CAPTURE) for name in rig.config.cameras),
+        *console,
     )
 
 

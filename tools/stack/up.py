@@ -14,6 +14,7 @@ from common.bus import Endpoints
 from common.config import Rig, load_rig
 from common.errors import EXIT_OK, ConfigError, NameTakenError, TagmillError
 from tools.check import chosen_rig, show_mistakes
+from tools.stack.console import console_place, no_console
 from tools.stack.leftovers import clear, living
 from tools.stack.programs import CAMERAS_FOLDER, CONFIG_FILE, LOG_FOLDER, SOCKET_FILE, supervisor_config
 from tools.stack.supervisor import Supervisor, SupervisorError
@@ -93,6 +94,7 @@ def _tell(rig: Rig, endpoints: Endpoints, cleared: tuple[str, ...], *, as_json: 
         *(f"warning: {text}" for text in rig.warnings),
         *([f"cleared what an earlier stack left: {', '.join(cleared)}"] if cleared else []),
         f"command socket {endpoints.command}, samples in {rig.dataset_root / rig.config.dataset.session}",
+        no_console(rig.config.network) or console_place(rig.config.network, endpoints),
         f"logs in {endpoints.run_dir / LOG_FOLDER}, a further camera as a file in {config.parent / CAMERAS_FOLDER}",
     ]
     print("\n".join(lines), flush=True)

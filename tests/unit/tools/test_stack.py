@@ -17,6 +17,7 @@ from common.config import Rig, load_rig
 from common.errors import EXIT_NAME_TAKEN, ConfigError, NameTakenError
 from common.frames import FrameWriter, segment_name, shm_folder
 from services.store.choice import CHOICE_FILE
+from tools.stack.console import no_console
 from tools.stack.down import stop
 from tools.stack.leftovers import clear, living
 from tools.stack.programs import ROOT, programs, supervisor_config
@@ -69,12 +70,24 @@ def test_one_program_a_process(tmp_path: Path) -> None:
         "detect": ("detect", ("--instance", "0")),
         "capture-left": ("capture", ("--camera", "left")),
         "capture-right": ("capture", ("--camera", "right")),
+        "console": ("console", ()),
     }
 
 
-def test_cameras_stop_first_and_the_bus_last(rig: Rig) -> None:
+def test_a_rig_without_a_console_and_a_machine_without_its_packages_have_no_such_program(
+    tmp_path: Path, rig: Rig, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    without = rig_with(tmp_path, "network: {console: null}\n")
+    assert "console" not in {program.name for program in programs(without)}
+    assert no_console(without.config.network) == "no console: network.console is null in the rig file"
+    monkeypatch.setattr("importlib.util.find_spec", lambda name: None if name == "fastapi" else object())
+    assert "console" not in {program.name for program in programs(rig)}
+    assert "fastapi not installed; pip install 'tagmill[console]'" in (no_console(rig.config.network) or "")
+
+
+def test_the_console_and_the_cameras_stop_first_and_the_bus_last(rig: Rig) -> None:
     order = [program.service for program in sorted(programs(rig), key=lambda one: -one.priority)]
-    assert order == ["capture", "detect", "label", "store", "control"]
+    assert order == ["console", "capture", "detect", "label", "store", "control"]
 
 
 def test_every_program_has_the_settings_that_the_stack_relies_on(rig: Rig, endpoints: Endpoints) -> None:
@@ -82,7 +95,7 @@ def test_every_program_has_the_settings_that_the_stack_relies_on(rig: Rig, endpo
         parser = parse(text)
         assert not [section for section in parser.sections() if section.startswith("group:")]
         sections = [section for section in parser.sections() if section.startswith("program:")]
-        assert len(sections) == 5
+        assert len(sections) == 6
         for section in sections:
             settings = dict(parser[section])
             assert settings["startsecs"] == "3"
@@ -125,7 +138,7 @@ def test_supervisor_itself_reads_it(rig: Rig, endpoints: Endpoints, tmp_path: Pa
     options.realize(["-c", str(path), "-n"])
 
     commands = {group.name: group.process_configs[0].command for group in options.process_group_configs}
-    assert set(commands) == {"control", "store", "label", "detect", "capture-cam0", "capture-cam1"}
+    assert set(commands) == {"control", "store", "label", "detect", "capture-cam0", "capture-cam1", "console"}
     assert commands["control"] == f'"{sys.executable}" -m services.control --rig "{folder}/rig.yaml"'
     assert commands["capture-cam1"].endswith(f'--camera-file "{folder}/run/conf.d/cam1.yaml"')
     assert options.process_group_configs[0].process_configs[0].directory == str(ROOT)
