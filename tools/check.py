@@ -15,6 +15,17 @@ from common.geometry import Box, BoxSide, MarkerOnSide
 SCREEN_LINES = 20
 MUCH = 0.15
 """Above this share of a side, what is erased may be the very feature by which the side is recognised."""
+_OF_A_PACKAGE = "no calibration: what its driver knows of it"
+_GUESSED = "no calibration: its intrinsics are guessed, and so are distances"
+UNCALIBRATED = {
+    "synthetic": "its own intrinsics",
+    "realsense": "the factory's intrinsics",
+    "kinect2": "the factory's intrinsics",
+    "files": "no calibration: the recording's intrinsics if it has any, else guessed ones",
+    "webcam": _GUESSED,
+    "stream": _GUESSED,
+}
+"""What is known of a camera without calibration, by its driver."""
 
 
 def add_parser(parser: argparse.ArgumentParser) -> None:
@@ -110,7 +121,11 @@ def _summary(rig: Rig, shares: tuple[CoveredShare, ...]) -> list[str]:
     for name, camera in cameras.items():
         size = f"{camera.width} x {camera.height}" if camera.width and camera.height else "its own size"
         rate = f", {camera.fps:g} frames/s" if camera.fps else ""
-        known = f"calibrated by {camera.calibration}" if camera.calibration else "its own intrinsics"
+        known = (
+            f"calibrated by {camera.calibration}"
+            if camera.calibration
+            else UNCALIBRATED.get(camera.driver, _OF_A_PACKAGE)
+        )
         lines.append(f"  camera {name}: {camera.driver}, {size}{rate}, {known}")
     lines.append(f"  samples go to {rig.dataset_root / config.dataset.session}")
     return lines

@@ -5,12 +5,11 @@ from __future__ import annotations
 from common.config import Rig
 from common.config.models import CameraConfig, FilesOptions
 from common.errors import CameraError
-from common.geometry import CameraModel
 from common.labels import CameraLabel
 from services.capture.cameras.base import Description, EndOfStreamError, FrameSkippedError, Grabbed
 from services.capture.cameras.file_opening import open_source
 from services.capture.cameras.file_sources import FileFrame, Source
-from services.capture.cameras.intrinsics import fit_to_size, label_of
+from services.capture.cameras.intrinsics import known_or_guessed, label_of
 from services.capture.cameras.options import read_options
 from services.capture.cameras.pacing import Pacer
 
@@ -131,18 +130,11 @@ class FilesCamera:
         )
 
     def _intrinsics(self, width: int, height: int, name: str) -> tuple[CameraLabel, tuple[str, ...]]:
-        calibration = self._calibration
-        if calibration is None and self._recorded.camera is not None:
-            calibration = label_of(
-                self._name, self._recorded.camera, intrinsics_from="factory", serial=self._recorded.serial
-            )
-        if calibration is None:
-            warning = (
-                f"camera {self._name} has no calibration: its intrinsics are guessed, so distances are too; "
-                "run `tagmill calibrate` and name the file as `calibration`"
-            )
-            return label_of(self._name, CameraModel.guess(width, height), intrinsics_from="guess"), (warning,)
+        """The calibration's, else what the recording says of its camera, else a guess."""
+        calibration, recorded = self._calibration, self._recorded
+        if calibration is None and recorded.camera is not None:
+            calibration = label_of(self._name, recorded.camera, intrinsics_from="factory", serial=recorded.serial)
         try:
-            return fit_to_size(calibration, width, height)
+            return known_or_guessed(self._name, calibration, width, height, recorded.serial)
         except CameraError as error:
             raise FrameSkippedError(f"{name}: {error.message}", "wrong_size") from error

@@ -8,7 +8,6 @@ from typing import Any
 import cv2
 import numpy as np
 from numpy.typing import NDArray
-from pydantic import ValidationError
 
 from common import clock
 from common.config import Rig
@@ -18,6 +17,7 @@ from common.errors import CameraError, ConfigError
 from common.labels import CameraLabel
 from services.capture.cameras.base import Attached, Description, EndOfStreamError, Grabbed, Stamps
 from services.capture.cameras.intrinsics import known_or_factory
+from services.capture.cameras.options import read_options
 from services.capture.cameras.pacing import Pacer
 from services.capture.cameras.realsense_alignment import DepthAligner
 from services.capture.cameras.realsense_geometry import camera_model
@@ -53,7 +53,7 @@ class RealSenseCamera:
     def __init__(self, name: str, config: CameraConfig, rig: Rig, context: Any | None = None) -> None:
         self._name = name
         self._config = config
-        self._options = _options(name, config)
+        self._options = read_options(name, config, RealSenseOptions)
         self._calibration = rig.calibration(name)
         self._recording = None if self._options.recording is None else rig.resolve(self._options.recording)
         preset = self._options.preset_file
@@ -240,17 +240,6 @@ def _attached(device: Any) -> Attached:
 
 def _numbers(version: str) -> list[int]:
     return [int(part) for part in version.split(".") if part.isdigit()]
-
-
-def _options(name: str, config: CameraConfig) -> RealSenseOptions:
-    try:
-        return RealSenseOptions.model_validate(config.options)
-    except ValidationError as error:
-        problems = tuple(
-            f"cameras.{name}.{'.'.join(str(part) for part in item['loc'])}: {item['msg']}"
-            for item in error.errors(include_url=False)
-        )
-        raise ConfigError(f"camera {name} can't be used: {'; '.join(problems)}", problems) from error
 
 
 def _unit_mm(sensor: Any) -> float:

@@ -7,7 +7,9 @@ from pathlib import Path
 
 import pytest
 
+from common.config.models import DRIVER_OPTIONS
 from common.errors import EXIT_BAD_CONFIG, EXIT_OK
+from tools.check import UNCALIBRATED
 from tools.cli import main
 
 EXAMPLES = Path(__file__).resolve().parents[3] / "deploy" / "examples"
@@ -23,6 +25,19 @@ def test_a_good_rig_is_summed_up(capsys: pytest.CaptureFixture[str]) -> None:
     assert rest[-1].startswith("  samples go to ")
     assert rest[-1].endswith("/dataset/synthetic")
     assert "warning" not in out
+
+
+def test_guessed_intrinsics_are_called_so(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    path = tmp_path / "rig.yaml"
+    path.write_text("cameras: {depth: {driver: realsense}, desk: {driver: webcam, width: 640, height: 480}}\n")
+    assert main(["check", str(path)]) == EXIT_OK
+    out = capsys.readouterr().out
+    assert "  camera depth: realsense, its own size, the factory's intrinsics\n" in out
+    assert "  camera desk: webcam, 640 x 480, no calibration: its intrinsics are guessed, and so are distances\n" in out
+
+
+def test_every_driver_says_what_is_known_without_a_calibration() -> None:
+    assert UNCALIBRATED.keys() == DRIVER_OPTIONS.keys()
 
 
 def test_the_share_counts_border_and_margin_and_warns(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
