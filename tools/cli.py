@@ -41,6 +41,9 @@ SUB_COMMANDS = (
     SubCommand("ledger", "tools.commands.ledger", "what became of every frame of a recording"),
     SubCommand("undo", "tools.commands.undo", "move the newest sample to the session's bin"),
     SubCommand("dataset", "tools.dataset.command", "list samples, delete them to the bin, restore them"),
+    SubCommand(
+        "inspect", "tools.inspect.command", "what is in a session, which samples look wrong, which files are broken"
+    ),
     SubCommand("session", "tools.commands.session", "open or continue a session"),
     SubCommand("reload", "tools.commands.reload", "check the changed rig file and let the stack take it over"),
     SubCommand("preview", "tools.commands.preview", "keep the inpainted preview of a camera going"),
@@ -89,7 +92,7 @@ def build_parser(words: Sequence[str]) -> tuple[argparse.ArgumentParser, dict[st
     parser = argparse.ArgumentParser(
         prog="tagmill",
         description="Turns a camera and a few printed markers into a labelled, marker-free training set.",
-        epilog="exit codes: 0 done, 2 wrong usage, 3 refused, 4 no answer, 78 the rig file can't be used",
+        epilog="exit codes: 0 done, 2 wrong usage, 3 refused, 4 no answer, 5 found something wrong, 78 bad rig file",
     )
     rows = parser.add_subparsers(dest="sub_command", metavar="COMMAND", title="commands")
     called = next((word for word in words if not word.startswith("-")), None)

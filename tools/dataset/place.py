@@ -103,7 +103,7 @@ def chosen(args: argparse.Namespace) -> Iterator[InFolder | OverSocket]:
     """The session that is meant; raises RefusedError ``unknown_session``, ConfigError, NoAnswerError."""
     network, _ = network_of(args.rig)
     if holder_of(Endpoints.of(network).service_lock(CONTROL)) is None:
-        yield InFolder(_existing(_named(args)))
+        yield InFolder(named_session(args))
         return
     with connected(args) as client:
         status = ask(client, {"command": "status"})
@@ -111,7 +111,12 @@ def chosen(args: argparse.Namespace) -> Iterator[InFolder | OverSocket]:
         if args.session is None or _named(args).resolve() == opened.resolve():
             yield OverSocket(opened, client)
             return
-    yield InFolder(_existing(_named(args)))
+    yield InFolder(named_session(args))
+
+
+def named_session(args: argparse.Namespace) -> Path:
+    """The folder of the session that ``--session`` or the rig file names; raises RefusedError, ConfigError."""
+    return _existing(_named(args))
 
 
 def _named(args: argparse.Namespace) -> Path:
