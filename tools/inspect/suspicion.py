@@ -74,7 +74,7 @@ class _Judge:
         if sample.remains:
             ids = ", ".join(map(str, sample.remains))
             yield Reason("marker", f"the stored picture still shows marker {ids}", 8.0)
-        if self._twins[sample.pixels] > 1:
+        if sample.pixels is not None and self._twins[sample.pixels] > 1:
             yield Reason("same_picture", "another sample has the very same picture", 9.0)
         if sample.original_px is not None:
             limit = max(_ORIGINAL_PX, 4 * self._original)
