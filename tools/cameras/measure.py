@@ -18,6 +18,7 @@ from common.config import Rig
 from common.errors import FrameLostError
 from common.frames import FrameReader
 from common.messages import CameraState, FrameAnnounced, FrameRef, ServiceState
+from common.quality.depth_holes import depth_at_markers
 from common.topics import CAMERA, FRAME, SERVICE
 from services.detect.markers import open_detector
 
@@ -31,7 +32,8 @@ _MUCH = 0.05
 class Measured:
     """One trial. Intervals and drops are of the frames' stamps; ``markers`` of the pictures that were looked at.
 
-    ``exposure``: ``good``, ``dark``, ``bright`` or ``contrast`` (both ends are lost). ``depth_valid``: share, 0..1.
+    ``exposure``: ``good``, ``dark``, ``bright`` or ``contrast`` (both ends are lost). ``depth_valid``: share, 0..1;
+    ``depth_on_markers`` and ``depth_around_markers`` likewise.
     """
 
     name: str
@@ -57,6 +59,8 @@ class Measured:
     depth_unit_mm: float | None = None
     depth_valid: float | None = None
     depth_median_mm: float | None = None
+    depth_on_markers: float | None = None
+    depth_around_markers: float | None = None
     markers: dict[int, int] = field(default_factory=dict)
     snapshot: str | None = None
     last_error: str | None = None
@@ -86,6 +90,7 @@ class _Trial:
         self._look_ns = 0
         self._levels: list[tuple[float, float, float]] = []
         self._depths: list[tuple[float, float]] = []
+        self._holes: list[tuple[float, float]] = []
         self.begin_ns: int | None = None
 
     @property
@@ -141,8 +146,12 @@ class _Trial:
         self._levels.append((float(grey.mean()), dark, bright))
         if depth is not None:
             self._depths.append(_depth_of(depth, self.measured.depth_unit_mm or 1.0))
-        for marker in self._detector.detect(grey):
+        found = self._detector.detect(grey)
+        for marker in found:
             self.measured.markers[marker.id] = self.measured.markers.get(marker.id, 0) + 1
+        holes = None if depth is None else depth_at_markers(depth, (np.array(marker.corners) for marker in found))
+        if holes is not None:
+            self._holes.append(holes)
         if self.measured.snapshot is None and cv2.imwrite(str(self._snapshot), bgr):
             self.measured.snapshot = str(self._snapshot)
 
@@ -166,7 +175,9 @@ class _Trial:
             )
             now.exposure = _exposure(now.dark_share, now.bright_share)
         if self._depths:
-            now.depth_valid, now.depth_median_mm = (float(np.median(part)) for part in zip(*self._depths, strict=True))
+            now.depth_valid, now.depth_median_mm = _medians(self._depths)
+        if self._holes:
+            now.depth_on_markers, now.depth_around_markers = _medians(self._holes)
         return now
 
     def close(self) -> None:
@@ -209,6 +220,11 @@ def _depth_of(depth: NDArray[np.uint16], unit_mm: float) -> tuple[float, float]:
     """The share of valid pixels and their median in mm (0 without any)."""
     valid = depth[depth > 0]
     return valid.size / depth.size, float(np.median(valid)) * unit_mm if valid.size else 0.0
+
+
+def _medians(pairs: list[tuple[float, float]]) -> tuple[float, float]:
+    first, second = (float(np.median(part)) for part in zip(*pairs, strict=True))
+    return first, second
 
 
 def _exposure(dark: float, bright: float) -> str:

@@ -6,6 +6,7 @@ from rich.console import Group, RenderableType
 from rich.table import Table
 from rich.text import Text
 
+from common.quality.depth_holes import punched
 from tools.cameras.measure import Measured
 
 _SLOW = 0.9
@@ -35,6 +36,12 @@ def _warnings(measured: Measured) -> list[Text]:
         )
     if measured.exposure not in (None, "good"):
         lines.append(_EXPOSURES[str(measured.exposure)])
+    on, around = measured.depth_on_markers, measured.depth_around_markers
+    if on is not None and around is not None and punched(on, around):
+        lines.append(
+            f"the markers punch holes into the depth: {on:.0%} of their pixels have any, {around:.0%} around them; "
+            "their black ink eats infrared: print them with another ink or printer, or on matt paper"
+        )
     lines += measured.warnings
     return [Text(f"! {line}", style="yellow") for line in lines]
 
