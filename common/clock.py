@@ -32,3 +32,8 @@ def iso_utc(wall: int) -> str:
     """ISO 8601 UTC with milliseconds, e.g. ``2026-08-30T12:04:31.120Z``."""
     moment = datetime.fromtimestamp(wall // 1_000_000_000, tz=UTC)
     return f"{moment:%Y-%m-%dT%H:%M:%S}.{wall // 1_000_000 % 1000:03d}Z"
+
+
+def wall_of(iso: str) -> int:
+    """Nanoseconds since the epoch of what `iso_utc` wrote; raises ValueError."""
+    return int(datetime.fromisoformat(iso).timestamp() * 1000) * 1_000_000

@@ -66,6 +66,18 @@ SUB_COMMANDS = (
 def main(argv: Sequence[str] | None = None) -> int:
     """Run one sub-command; returns its exit code (see docs/reference/cli.md)."""
     words = list(sys.argv[1:] if argv is None else argv)
+    try:
+        # Inside: half a second of a sub-command's start is its imports, and Ctrl-C may come then too.
+        return _run(words)
+    except KeyboardInterrupt:
+        return EXIT_INTERRUPTED
+    except BrokenPipeError:
+        # Whoever read our output (`| head`) has gone; the interpreter's last flush must not complain either.
+        sys.stdout = None
+        return EXIT_OK
+
+
+def _run(words: Sequence[str]) -> int:
     parser, modules = build_parser(words)
     args = parser.parse_args(words)
     if args.sub_command is None:
@@ -78,12 +90,6 @@ def main(argv: Sequence[str] | None = None) -> int:
     except TagmillError as error:
         show_error(error, as_json=args.json)
         return error.exit_code
-    except KeyboardInterrupt:
-        return EXIT_INTERRUPTED
-    except BrokenPipeError:
-        # Whoever read our output (`| head`) has gone; the interpreter's last flush must not complain either.
-        sys.stdout = None
-        return EXIT_OK
     return code
 
 

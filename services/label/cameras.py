@@ -16,6 +16,8 @@ from common.messages import MARKERS, CameraState, Detections, FrameRef
 _MARGIN = 3
 """Slots of the ring that are about to be overwritten count as gone."""
 _REMEMBERED = 16
+GONE_AFTER_NS = 60_000_000_000
+"""A camera whose process has said nothing for so long is gone for good; should it come back, it is a new one."""
 HOLD_NS = 4_000_000_000
 """A paced camera gives up waiting for a label after 5 s."""
 
@@ -34,6 +36,7 @@ class Camera:
         self.last_frame_ns = 0
         self._slots = slots
         self._reader: FrameReader | None = None
+        self._heard_ns = clock.monotonic_ns()
         self._held_since_ns: int | None = None
         self._others: OrderedDict[tuple[str, int], dict[str, SourceDetections]] = OrderedDict()
 
@@ -42,6 +45,11 @@ class Camera:
         if state.camera != self.state.camera:
             self.model = CameraModel.from_label(state.camera)
         self.state = state
+        self._heard_ns = clock.monotonic_ns()
+
+    def gone(self, now_ns: int) -> bool:
+        """Whether its process has fallen silent for good."""
+        return now_ns - self._heard_ns > GONE_AFTER_NS
 
     def arrived(self, detections: Detections) -> None:
         """Queue the markers of a frame; keep another source's detections for the label of the same frame."""

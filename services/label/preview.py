@@ -58,6 +58,11 @@ class Previews:
             self._drop(camera)
         return False
 
+    def tidy(self) -> None:
+        """End what nobody watches any more, also where no further frame comes."""
+        for camera in list(self._shows):
+            self.watched(camera)
+
     def begin(self, camera: Camera, detections: Detections, around: Around, finisher: Finisher) -> None:
         """Start on a preview of this frame, unless the one before is still being made."""
         ref = detections.ref

@@ -2,11 +2,12 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterable
 from dataclasses import dataclass, field
 
 from common import clock
 from common.ledgers import Ledger, RecordingPhase, RecordingSpec
-from common.messages import Answer, ErrorInfo, FrameRef, RecordOrder
+from common.messages import MARKERS, Answer, ErrorInfo, FrameRef, RecordOrder, SampleItem
 from services.label.account import Account
 
 NOT_DUE = "not_due"
@@ -33,7 +34,11 @@ def explain(reason: str) -> str:
 
 @dataclass(eq=False)
 class Request:
-    """A `record` order: up to ``count`` fitting frames before the deadline; one candidate at a time."""
+    """A `record` order: up to ``count`` fitting frames before the deadline; one candidate at a time.
+
+    ``held``: it takes no frame until the store has said what an earlier life of this process recorded for it;
+    ``resumed``: that was said.
+    """
 
     order: RecordOrder
     deadline_ns: int
@@ -44,6 +49,8 @@ class Request:
     last_message: str | None = None
     next_due_ns: int = 0
     answered: bool = False
+    held: bool = False
+    resumed: bool = False
 
     @classmethod
     def of(cls, order: RecordOrder) -> Request:
@@ -78,13 +85,23 @@ class Request:
 
     def wants(self, ref: FrameRef) -> str | None:
         """None if this frame is wanted now, else why not."""
-        if self.answered or self.account.pending or self.done:
+        if self.answered or self.held or self.account.pending or self.done:
             return NOT_ASKED
         if self.order.frame is not None:
             return None if ref.frame == self.order.frame else NOT_ASKED
         if ref.captured_mono_ns < self.order.since_mono_ns:
             return NOT_ASKED
         return None if ref.captured_mono_ns >= self.next_due_ns else NOT_DUE
+
+    def resume(self, found: Iterable[SampleItem]) -> None:
+        """The samples that are durable already, of an earlier life of this process; go on with what lacks."""
+        self.held, self.resumed = False, True
+        for item in sorted(found, key=lambda item: item.name):
+            self.account.looked_at(MARKERS, counted=False)
+            self.account.ordered(item.name)
+            self.stored(item.name)
+            age_ns = clock.wall_ns() - clock.wall_of(item.captured_at)
+            self.next_due_ns = clock.monotonic_ns() - age_ns + int(self.order.interval_s * 1e9)
 
     def refused(self, reason: str, message: str | None = None) -> None:
         """A wanted frame did not fit."""
@@ -127,6 +144,8 @@ class Request:
         pending = tuple(sorted(self.account.pending))
         if self.done:
             return Answer(key=self.order.key, samples=tuple(self.samples))
+        if self.held and self.last_reason == "no_frame":
+            self.last_reason, self.last_message = "store_down", None
         if pending:
             error = ErrorInfo(
                 code="timeout",

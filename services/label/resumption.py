@@ -24,6 +24,11 @@ class Resumption:
         """The key of the order under way (or of the last one)."""
         return self._key
 
+    @property
+    def over(self) -> bool:
+        """Whether the recordings have been taken."""
+        return self._over
+
     def store_seen(self) -> None:
         """The store is alive: ask again if it refused."""
         if self._running is None and self._key not in self._store.pending:

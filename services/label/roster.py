@@ -2,10 +2,11 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 
 from structlog.typing import FilteringBoundLogger
 
+from common import clock
 from common.labels import SourceDetections
 from common.messages import CameraState, Detections, FrameRef, Shares
 from services.label.cameras import Camera
@@ -61,6 +62,13 @@ class Roster:
         elif self._alone or (self._shares is not None and self.may_serve(name)):
             self._cameras[name] = Camera(state, self._slots)
             self._log.info("camera.known", camera=name, width=state.camera.width, height=state.camera.height)
+
+    def let_go(self, wanted: Callable[[str], bool]) -> None:
+        """Forget cameras that are gone for good, unless somebody ``wanted`` something of them still."""
+        now = clock.monotonic_ns()
+        for name in [name for name, camera in self._cameras.items() if camera.gone(now) and not wanted(name)]:
+            self._cameras.pop(name).close()
+            self._log.info("camera.forgotten", camera=name)
 
     def hear_detections(self, detections: Detections) -> None:
         """Queue them with their camera."""

@@ -6,7 +6,7 @@ slots is the number of samples that may wait. Nothing leaves this table without 
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterable, Iterator
+from collections.abc import Callable, Container, Iterable, Iterator
 from dataclasses import dataclass
 
 import cv2
@@ -212,6 +212,12 @@ class Samples:
         del self.under_way[sample.name]
         sample.ring.release(sample.slot)
         return Outcome(sample, reason, message)
+
+    def keep_only(self, cameras: Container[str]) -> None:
+        """Remove the idle sample rings of all other cameras."""
+        for name in [name for name in self._rings if name not in cameras]:
+            if self._rings[name].free == self._slots:
+                self._rings.pop(name).close()
 
     def close(self) -> None:
         """Remove the sample rings."""

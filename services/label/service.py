@@ -35,12 +35,12 @@ from common.service import Context, Report
 from common.service.meters import Tally
 from common.topics import CAMERA, DETECTIONS, LABELS, PREVIEW, SERVICE, SHARES
 from services.label.cameras import Camera
+from services.label.earlier_life import EarlierLife
 from services.label.finish import Finisher
 from services.label.labelling import Labelled, Labeller
 from services.label.preview import Previews
 from services.label.recorder import Recorder
-from services.label.requests import explain
-from services.label.resumption import Resumption
+from services.label.requests import Request, explain
 from services.label.roster import Roster
 from services.label.samples import Samples, Taker
 from services.label.states import Pace, States
@@ -96,7 +96,7 @@ class LabelService:
         self._poller = Poller()
         for source in (self._orders, self._store, self._subscriber, self._finisher):
             self._poller.add(source)
-        self._resumption = Resumption(self._store, f"{context.id}/{context.boot}")
+        self._earlier = EarlierLife(self._store, f"{context.id}/{context.boot}", self._recorder, self._roster)
 
     def step(self, timeout_s: float) -> None:
         """One round: orders, news, at most one frame a camera, outcomes, deadlines."""
@@ -111,8 +111,11 @@ class LabelService:
             self._next_frame(camera)
         self._streams.go_on(self._samples, self._finisher, all_=self._draining)
         self._collect()
-        self._resume()
+        self._earlier.go_on(self._look_back, self._stop)
         self._recorder.tick(self._roster.states())
+        self._roster.let_go(self._recorder.active)
+        self._samples.keep_only(self._roster.names)
+        self._previews.tidy()
         if len(self._store.pending) < _STORE_WINDOW // 2:
             for ledger in self._recorder.ledger_orders():
                 self._store.send(ledger)
@@ -122,12 +125,11 @@ class LabelService:
         """Take nothing new; finish what is under way."""
         self._draining = True
         self._recorder.finish_all("the stack was stopped")
+        for order in self._earlier.give_up():
+            self._refuse(order.key, "stopping", "tagmill is going down: the stack was stopped")
         self.step(0.05)
-        return (
-            self._recorder.settled
-            and not self._samples.under_way
-            and set(self._store.pending) <= {self._resumption.key}
-        )
+        idle = self._recorder.settled and not self._samples.under_way
+        return idle and set(self._store.pending) <= self._earlier.keys
 
     def close(self) -> None:
         """Let go of everything, whatever state it is in."""
@@ -163,8 +165,7 @@ class LabelService:
                 self._reply(Answer(key=order.key))
                 self._states.hurry()
             case StopOrder():
-                if not self._recorder.stop(order.recording, order.camera, order.key):
-                    self._refuse(order.key, "no_recording", f"no recording {order.recording} runs on {order.camera}")
+                self._stop(order)
             case PreviewOrder():
                 if order.inpaint:
                     self._previews.lease(order.camera)
@@ -172,10 +173,21 @@ class LabelService:
             case ReloadOrder():
                 self._reload(order.key)
 
+    def _stop(self, order: StopOrder) -> None:
+        known = self._recorder.stop(order.recording, order.camera, order.key)
+        if not known and not self._earlier.hold_stop(order):
+            self._refuse(order.key, "no_recording", f"no recording {order.recording} runs on {order.camera}")
+
     def _record(self, order: RecordOrder) -> None:
         request = self._recorder.record(order)
+        if request is not None and not self._earlier.hold_request(request):
+            self._look_back(request)
+
+    def _look_back(self, request: Request) -> None:
+        """A request may be for one frame that has passed."""
+        order = request.order
         camera = self._roster.get(order.camera)
-        if request is None or order.frame is None or camera is None:
+        if request.done or order.frame is None or camera is None:
             return
         past = next((item for item in camera.recent if item.ref.frame == order.frame), None)
         if past is not None:
@@ -221,7 +233,7 @@ class LabelService:
                 self._roster.hear_shares(message)
             case ServiceState():
                 self._store.peer_seen(message.boot)
-                self._resumption.store_seen()
+                self._earlier.store_seen()
 
     # --- frames ---------------------------------------------------------------------------------------
 
@@ -280,19 +292,9 @@ class LabelService:
         for outcome in self._samples.finished(jobs, self._rig.config.dataset.session, self._store, self._roster.others):
             self._recorder.outcome(outcome)
         for answer in self._store.receive():
-            if self._resumption.answered(answer):
+            if self._earlier.answered(answer):
                 continue
             if (outcome_ := self._samples.answered(answer)) is not None:
                 self._recorder.outcome(outcome_)
             else:
                 self._recorder.ledger_answered(answer)
-
-    def _resume(self) -> None:
-        """Go on with recordings that ran when this service last died, once it is known which cameras are ours."""
-        if not self._roster.decided:
-            return
-        for ledger in self._resumption.take():
-            for camera, account in ledger.cameras.items():
-                if ledger.phase == "running" and self._roster.may_serve(camera):
-                    order = StartOrder(key=f"resume/{ledger.spec.recording}", spec=ledger.spec, camera=camera)
-                    self._recorder.start(order, resumed=account)

@@ -5,6 +5,7 @@ from __future__ import annotations
 import random
 from collections import Counter
 from collections.abc import Callable
+from concurrent.futures import ThreadPoolExecutor
 from pathlib import Path
 from typing import Any
 
@@ -14,7 +15,7 @@ from common.dataset import SessionReader, read_session
 from common.frames import sweep
 from common.ledgers import CameraLedger
 from tests.support.hygiene import Place
-from tests.support.supervised import OBJECT, SupervisedStack, check_session, supervised, wait_for_samples
+from tests.support.supervised import DEADLINE_S, OBJECT, SupervisedStack, check_session, supervised, wait_for_samples
 
 pytestmark = [pytest.mark.process, pytest.mark.timeout(400)]
 
@@ -102,6 +103,32 @@ def test_a_recording_goes_on_through_the_death_of_every_process(tmp_path: Path, 
     assert set(account.dropped) <= {"detect", "label", "label_restart", "store"}
     check_session(session)
     assert set(acknowledged["samples"]) <= set(SessionReader(session).samples())
+
+
+def test_what_label_was_asked_for_before_its_death_is_neither_forgotten_nor_done_twice(tmp_path: Path) -> None:
+    rig = tmp_path / "rig.yaml"
+    rig.write_text(RIG)
+    session = tmp_path / "dataset" / "kills"
+    with supervised(rig, "cam0") as stack, ThreadPoolExecutor(1) as aside:
+        recorded = aside.submit(stack.ask, command="record", camera="cam0", count=8, interval_s=0.5, timeout_s=60)
+        wait_for_samples(session, 2)
+        killed = stack.kill("label")
+        answer = recorded.result(DEADLINE_S)
+        assert answer["ok"], answer
+        reader = SessionReader(session)
+        assert sorted(answer["samples"]) == list(reader.samples()), "those of both lives, and not one too many"
+        assert len(answer["samples"]) == 8
+        stack.wait_back("label", killed)
+        account = stack.ask(command="ledger", recording=answer["recording"])["ledger"]["cameras"]["cam0"]
+        assert account["recorded"] == 8
+        assert CameraLedger.model_validate(account).settled
+
+        started = stack.ask(command="start", camera="cam0", every_s=0)
+        wait_for_samples(session, 2)
+        stack.kill("label")
+        ledger = settle(stack, started["recording"])  # asked while label is away or has only just come back
+    check_account(session, started["recording"], ledger)
+    check_session(session)
 
 
 @pytest.mark.long

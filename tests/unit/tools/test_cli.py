@@ -3,6 +3,8 @@
 from __future__ import annotations
 
 import json
+import os
+import signal
 import subprocess
 import sys
 import threading
@@ -18,11 +20,12 @@ from common.commands import COMMANDS
 from common.config.models import NetworkConfig
 from common.errors import EXIT_BAD_CONFIG, EXIT_NO_ANSWER, EXIT_OK, EXIT_REFUSED, EXIT_USAGE
 from services.control.describe import help_answer
-from tools.cli import SUB_COMMANDS, build_parser, main
+from tools.cli import EXIT_INTERRUPTED, SUB_COMMANDS, build_parser, main
 from tools.commands.client import network_of
 from tools.dataset.command import ACTIONS
 
 ROOT = Path(__file__).resolve().parents[3]
+ENV = {**os.environ, "PYTHONPATH": str(ROOT)}
 
 Answer = Callable[[dict[str, Any]], dict[str, Any]]
 Stub = Callable[[Answer], list[dict[str, Any]]]
@@ -319,6 +322,27 @@ def test_a_rig_file_that_hides_the_stack_is_exit_code_78(
     assert main(["stop"]) == EXIT_BAD_CONFIG
     assert "tagmill check rig.yaml" in capsys.readouterr().err
     assert main(["stop", "--rig", "nowhere.yaml"]) == EXIT_BAD_CONFIG
+
+
+def test_ctrl_c_while_a_sub_command_is_imported_shows_no_traceback(elsewhere: Path) -> None:
+    (elsewhere / "slowly.py").write_text(
+        "import sys, threading\nprint('importing', flush=True)\nthreading.Event().wait(60)\n"
+    )
+    script = (
+        "import sys, tools.cli as cli\n"
+        "cli.SUB_COMMANDS += (cli.SubCommand('slow', 'slowly', 'imported slowly'),)\n"
+        "sys.path.append('.')\n"
+        "sys.exit(cli.main(['slow']))\n"
+    )
+    command = [sys.executable, "-c", script]
+    pipe = subprocess.PIPE
+    with subprocess.Popen(command, cwd=elsewhere, env=ENV, stdout=pipe, stderr=pipe, text=True) as process:
+        assert process.stdout is not None
+        assert process.stdout.readline() == "importing\n"
+        process.send_signal(signal.SIGINT)
+        _, complained = process.communicate(timeout=60)
+    assert process.returncode == EXIT_INTERRUPTED
+    assert complained == ""
 
 
 def test_keys_are_made_once_and_clients_added(elsewhere: Path, capsys: pytest.CaptureFixture[str]) -> None:
