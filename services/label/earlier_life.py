@@ -56,10 +56,8 @@ class EarlierLife:
             item.due = item.key is None
 
     def hold_request(self, request: Request) -> bool:
-        """Whether a request waits for the store's word: one that is older than this life, so it was sent again."""
-        if request.held:
-            return True
-        if request.resumed or not 0 < request.order.since_mono_ns < self._born_ns:
+        """Whether a new request waits for the store's word: it is older than this life, so it was sent again."""
+        if not 0 < request.order.since_mono_ns < self._born_ns:
             return False
         request.held = True
         self._asked.append(_Asked(request))

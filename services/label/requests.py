@@ -36,8 +36,7 @@ def explain(reason: str) -> str:
 class Request:
     """A `record` order: up to ``count`` fitting frames before the deadline; one candidate at a time.
 
-    ``held``: it takes no frame until the store has said what an earlier life of this process recorded for it;
-    ``resumed``: that was said.
+    ``held``: it takes no frame until the store has said what an earlier life of this process recorded for it.
     """
 
     order: RecordOrder
@@ -50,7 +49,6 @@ class Request:
     next_due_ns: int = 0
     answered: bool = False
     held: bool = False
-    resumed: bool = False
 
     @classmethod
     def of(cls, order: RecordOrder) -> Request:
@@ -95,7 +93,7 @@ class Request:
 
     def resume(self, found: Iterable[SampleItem]) -> None:
         """The samples that are durable already, of an earlier life of this process; go on with what lacks."""
-        self.held, self.resumed = False, True
+        self.held = False
         for item in sorted(found, key=lambda item: item.name):
             self.account.looked_at(MARKERS, counted=False)
             self.account.ordered(item.name)
