@@ -151,12 +151,13 @@ class InpaintConfig(Section):
 
 
 class RigConfig(Section):
-    """A whole ``rig.yaml``."""
+    """A whole ``rig.yaml``. ``extrinsics``: a file that says where cameras stand to each other."""
 
     dataset: DatasetConfig = DatasetConfig()
     markers: MarkersConfig = MarkersConfig()
     objects: tuple[ObjectConfig, ...] = ()
     cameras: dict[Name, CameraConfig] = {}
+    extrinsics: Path | None = None
     network: NetworkConfig = NetworkConfig()
     workers: WorkersConfig = WorkersConfig()
     ring: RingConfig = RingConfig()

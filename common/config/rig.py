@@ -5,7 +5,7 @@ from __future__ import annotations
 import hashlib
 import json
 from collections.abc import Mapping
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 from functools import cached_property
 from pathlib import Path
 from typing import Any
@@ -13,6 +13,7 @@ from typing import Any
 from common.config.addresses import presentable
 from common.config.calibration import read_calibration
 from common.config.differences import plain_calibration, plain_family, plain_objects
+from common.config.extrinsics import Extrinsics, read_extrinsics
 from common.config.models import DRIVER_OPTIONS, CameraConfig, RigConfig
 from common.config.objects import ObjectReader
 from common.config.problems import Problems, suggestion
@@ -29,9 +30,9 @@ from common.markers import Family, family
 class Rig:
     """A rig that holds together.
 
-    ``config`` is the file as written (paths relative to ``folder``), ``boxes`` its objects, ``dataset_root``
-    absolute, ``warnings`` what is allowed but hardly meant. Two rigs are equal, and hash alike, if their content
-    is: configuration and calibrations, wherever the files lie.
+    ``config`` is the file as written (paths relative to ``folder``), ``boxes`` its objects, ``dataset_root`` absolute,
+    ``warnings`` what is allowed but hardly meant, ``extrinsics`` where cameras stand to others. Two rigs are equal, and
+    hash alike, if their content is: configuration and calibrations, wherever the files lie.
     """
 
     path: Path
@@ -41,6 +42,7 @@ class Rig:
     dataset_root: Path
     calibrations: Mapping[str, CameraLabel]
     warnings: tuple[str, ...] = ()
+    extrinsics: Mapping[str, Extrinsics] = field(default_factory=dict)
 
     def resolve(self, path: Path) -> Path:
         """A path of the rig file, absolute and without ``..``."""
@@ -140,12 +142,19 @@ def load_rig(path: Path, *, inputs: bool = False, cameras: bool = True) -> Rig:
     config = read_schema(tree, problems)
     boxes = ObjectReader(tree, _family(tree, config, folder, problems), problems).read(config)
     calibrations = _check_cameras(tree, config, folder, problems, inputs=inputs)
+    extrinsics = _extrinsics(tree, config, folder, problems)
     check_network(tree, config.network, folder, problems)
     root = (folder / config.dataset.root).resolve()
     check_dataset_root(tree, root, problems)
     problems.raise_if_any()
-    warnings = () if config.objects else (f"{path}: objects: there are none, so no frame can be labelled",)
-    return Rig(path, folder, config, boxes, root, calibrations, warnings)
+    warnings: tuple[str, ...] = (
+        () if config.objects else (f"{path}: objects: there are none, so no frame can be labelled",)
+    )
+    strange = sorted({*extrinsics, *(one.to for one in extrinsics.values())} - set(config.cameras))
+    warnings += tuple(
+        f"{path}: extrinsics: {config.extrinsics} names {name}, no camera of this rig" for name in strange
+    )
+    return Rig(path, folder, config, boxes, root, calibrations, warnings, extrinsics)
 
 
 def _family(tree: Tree, config: RigConfig, folder: Path, problems: Problems) -> Family | None:
@@ -193,6 +202,20 @@ def _calibration(tree: Tree, name: str, camera: CameraConfig, folder: Path, prob
             reason = f"{wanted}, but the calibration {camera.calibration} is for {label.width} x {label.height} pixels"
             problems.add(at.line, at.path, reason)
     return label
+
+
+def _extrinsics(tree: Tree, config: RigConfig, folder: Path, problems: Problems) -> dict[str, Extrinsics]:
+    """Where cameras stand; mistakes are told at the key that names the file."""
+    if config.extrinsics is None:
+        return {}
+    found = tree.nearest(("extrinsics",))
+    try:
+        read = read_extrinsics(folder / config.extrinsics)
+    except ConfigError as error:
+        for line in error.problems:
+            problems.add(found.line, ("extrinsics",), line)
+        return {}
+    return read
 
 
 def _refuse_other_sections(tree: Tree, problems: Problems) -> None:

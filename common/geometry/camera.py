@@ -75,7 +75,8 @@ class CameraModel:
         NaN where no ray in front of the camera leads to a pixel: a strong barrel distortion or a fisheye has
         corners of the picture that its model can't reach, and cv2 returns arbitrary numbers there.
         """
-        uv = np.asarray(pixels, dtype=np.float64).reshape(-1, 1, 2)
+        # cv2 takes every second row of a larger array for something else.
+        uv = np.ascontiguousarray(pixels, dtype=np.float64).reshape(-1, 1, 2)
         if not len(uv):
             return np.zeros((0, 2))
         criteria = (cv2.TERM_CRITERIA_COUNT | cv2.TERM_CRITERIA_EPS, 60, 1e-9)

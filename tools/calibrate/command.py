@@ -17,7 +17,7 @@ from common.calibration.candidates import steps
 from common.calibration.verdict import verdict
 from common.config import read_calibration, write_calibration
 from common.errors import EXIT_OK, EXIT_REFUSED, ConfigError, RefusedError
-from tools.calibrate import convert
+from tools.calibrate import convert, extrinsics
 from tools.calibrate.board_options import add_board_options
 from tools.calibrate.gather import Gathered, gather
 from tools.calibrate.measured import HONEST, judge_measured, parse_measured
@@ -46,16 +46,21 @@ def add_parser(parser: argparse.ArgumentParser) -> None:
     parser.add_argument("--measured", metavar="NAME=MM", help="a distance measured from camera to board in one view")
     parser.add_argument("--out", type=Path, metavar="FILE|DIR", help="default: calibration/<camera>-<size>.yaml")
     parser.add_argument("--anyway", action="store_true", help="write the file even if the verdict is 'not yet'")
-    more = parser.add_subparsers(dest="calibrate_command", metavar="convert", title="more")
+    more = parser.add_subparsers(dest="calibrate_command", metavar="convert|extrinsics", title="more")
     own = more.add_parser("convert", help="write a calibration in another format", description=convert.__doc__)
     own.add_argument("--json", action="store_true", default=argparse.SUPPRESS, help="print one JSON document")
     convert.add_parser(own)
+    own = more.add_parser("extrinsics", help="where cameras stand to each other", description=extrinsics.__doc__)
+    own.add_argument("--json", action="store_true", default=argparse.SUPPRESS, help="print one JSON document")
+    extrinsics.add_parser(own)
 
 
 def run(args: argparse.Namespace) -> int:
     """Calibrate; exit code 0 with a calibration, 3 if the verdict is 'not yet', 130 after Ctrl-C."""
     if args.calibrate_command == "convert":
         return convert.run(args)
+    if args.calibrate_command == "extrinsics":
+        return extrinsics.run(args)
     measured = None if args.measured is None else parse_measured(args.measured)
     _check_figures(args)
     found, got = _gathered(args)

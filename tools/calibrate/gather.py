@@ -64,7 +64,7 @@ def gather(args: argparse.Namespace) -> Gathered:
         board = given
     if not offline and args.views is None and args.camera is None:
         raise ConfigError(
-            "where are the pictures? --camera NAME (live), --images DIR, --video FILE, or --views FILE of an earlier run"
+            "where are the pictures? --camera NAME (live), --images DIR, --video FILE, or --views FILE from earlier"
         )
     if args.live or not (offline or args.views is not None):
         return _live(args, board, views)

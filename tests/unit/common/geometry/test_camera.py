@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from typing import Literal
+
 import cv2
 import numpy as np
 import pytest
@@ -180,3 +182,11 @@ def test_round_trip_anywhere_in_the_picture(model, u, v, depth):
     if np.isfinite(ray).all():
         again, _ = model.project([ray[0] * depth, ray[1] * depth, depth])
         np.testing.assert_allclose(again[0], pixel, atol=0.01)
+
+
+@pytest.mark.parametrize("model", ["pinhole", "fisheye"])
+def test_points_that_are_a_part_of_a_larger_array_have_the_same_rays(model: Literal["pinhole", "fisheye"]) -> None:
+    matrix = np.array([[500.0, 0, 322], [0, 500.0, 236], [0, 0, 1]])
+    camera = CameraModel(640, 480, matrix, np.array([0.02, -0.01, 0, 0]), model=model)
+    pixels = np.random.default_rng(1).uniform(50, 400, (20, 2))
+    assert np.allclose(camera.normalise(pixels[1::2]), camera.normalise(pixels)[1::2])
