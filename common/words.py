@@ -88,6 +88,8 @@ WORDS: dict[str, Words] = {
     "nothing_to_undo": Words(
         "There is nothing to undo.", "Deleted samples are listed by 'tagmill dataset list --bin'."
     ),
+    "session_exists": Words("There is such a session already.", "Choose another name with --into."),
+    "no_class": Words("There is no such class.", "'tagmill inspect SESSION' lists them."),
     "unknown_session": Words("There is no such session.", "Sessions are the folders below dataset.root."),
     # --- the stack and its sockets -----------------------------------------------------------------------------
     "timeout": Words(

@@ -14,6 +14,9 @@ ACTIONS = {
     "delete": "tools.dataset.delete",
     "restore": "tools.dataset.restore",
     "empty-bin": "tools.dataset.empty_bin",
+    "merge": "tools.dataset.merge",
+    "split": "tools.dataset.split",
+    "rename-class": "tools.dataset.rename_class",
 }
 
 

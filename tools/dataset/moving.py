@@ -21,7 +21,7 @@ def add_samples(parser: argparse.ArgumentParser) -> None:
 
 def move(args: argparse.Namespace, command: str, words: str) -> int:
     """Move them, and say so; ``words`` has room for the number."""
-    samples = _names(args.samples)
+    samples = names_given(args.samples)
     with chosen(args) as place:
         answer: Plain = place.move(command, samples) if samples else {"ok": True, "samples": []}
         if not args.json and (answer["ok"] or answer.get("samples")):
@@ -31,7 +31,8 @@ def move(args: argparse.Namespace, command: str, words: str) -> int:
     return finish(args, answer)
 
 
-def _names(given: list[str]) -> list[str]:
+def names_given(given: list[str]) -> list[str]:
+    """The names that were typed, each once; '-' stands for those on stdin."""
     names: list[str] = []
     for name in given:
         names += [line.strip() for line in sys.stdin if line.strip()] if name == FROM_STDIN else [name]
