@@ -10,6 +10,8 @@ const FROM = {
   guess: ["triangle-alert", "not calibrated: distances are guesses", false],
 };
 
+const UNKNOWN = ["circle-alert", "not known yet", false];
+
 function camerasNow() {
   const known = state.topics.status.value?.cameras ?? {};
   return state.cameras.value.map((name) => ({name, rig: state.rig.value?.cameras.find((one) => one.name === name), now: known[name]}));
@@ -18,6 +20,9 @@ function camerasNow() {
 function markersOf(object) {
   return object.sides.flatMap((side) => side.markers.map((marker) => ({...marker, side})));
 }
+
+/** A camera that is still being opened knows nothing of its intrinsics. */
+const isGuess = (now) => Boolean(now) && now.phase !== "opening" && !FROM[now.calibration]?.[2];
 
 const seenAt = (id) => state.topics.status.value?.markers_seen?.[id] ?? null;
 
@@ -28,7 +33,7 @@ function Check({n, title, ok, text}) {
 
 function Checklist({cameras, markers}) {
   const away = cameras.filter((one) => !one.now?.present);
-  const guessed = cameras.filter((one) => one.now && !FROM[one.now.calibration]?.[2]);
+  const guessed = cameras.filter((one) => isGuess(one.now));
   const objects = state.rig.value?.objects ?? [];
   const seen = markers.filter((one) => seenAt(one.id));
   return html`<ol class="checks">
@@ -39,7 +44,7 @@ function Checklist({cameras, markers}) {
 }
 
 function Camera({name, rig, now}) {
-  const [icon, words, ok] = FROM[now?.calibration] ?? ["triangle-alert", "not known yet", false];
+  const [icon, words, ok] = (now?.phase !== "opening" && FROM[now?.calibration]) || UNKNOWN;
   const file = rig?.calibration?.file;
   return html`<li class="panel camera"><${Stage} id=${`setup-${name}`} camera=${name} />
     <div class="stack"><h3>${name}</h3>
@@ -48,7 +53,7 @@ function Camera({name, rig, now}) {
       <dt>Picture</dt><dd class="number">${now ? `${now.width}×${now.height} at ${now.fps}/s${now.depth ? ", with depth" : ""}` : "–"}</dd>
       ${now?.serial && html`<dt>Serial</dt><dd><code>${now.serial}</code></dd>`}
       <dt>Calibration</dt><dd><span class=${ok ? "good" : "warn"}><${Icon} name=${icon} /> ${words}</span>${file && html`<br /><code>${file}</code>`}</dd></dl>
-    ${now?.calibration === "guess" && html`<p class="small">Calibrate it with pictures of a board: <code>tagmill calibrate</code>, then name the file in the rig file.</p>`}</div></li>`;
+    ${isGuess(now) && html`<p class="small">Calibrate it with pictures of a board: <code>tagmill calibrate</code>, then name the file in the rig file.</p>`}</div></li>`;
 }
 
 function ObjectCard({object}) {
@@ -77,7 +82,7 @@ export function Setup() {
     <${Checklist} cameras=${cameras} markers=${markers} />
     <section class="stack" aria-labelledby="cameras-title"><h2 id="cameras-title">Cameras</h2>
       <ul class="cards">${cameras.map((one) => html`<${Camera} key=${one.name} ...${one} />`)}</ul></section>
-    <section class="stack" aria-labelledby="objects-title"><h2 id="objects-title">Objects and their markers
+    <section class="stack" aria-labelledby="objects-title"><h2 id="objects-title">Objects and their markers${" "}
       ${state.rig.value && html`<span class="muted small">${state.rig.value.markers?.family}</span>`}</h2>
       <div class="objects">${objects.map((object) => html`<${ObjectCard} key=${object.name} object=${object} />`)}</div></section>
   </div>`;
