@@ -48,8 +48,9 @@ def test_the_label_is_that_of_the_picture_it_is_drawn_on(live: PageUnderTest) ->
     both = seen.keys() & sides.keys()
     assert both
     for marker in both:
-        # JPEG and OpenCV's coarser corners: well under the pixels that the box moves from frame to frame.
-        assert np.abs(seen[marker] - sides[marker]).max() < 2.5
+        # OpenCV begins at another corner. JPEG and its coarser corners cost less than what the box moves in a frame.
+        turned = [np.abs(np.roll(seen[marker], turn, axis=0) - sides[marker]).max() for turn in range(4)]
+        assert min(turned) < 4.0
 
 
 def test_the_overlay_lies_on_the_box(live: PageUnderTest) -> None:

@@ -53,7 +53,7 @@ def test_the_gallery_deletes_and_restores(site: Site) -> None:
     page = site.open("gallery")
     tile = f"[data-name='{newest}']"
     page.page.wait_for_selector(tile)
-    page.wait("document.querySelector('.tile img').complete && document.querySelector('.tile img').naturalWidth > 0")
+    page.wait("document.querySelector('.tile img').naturalWidth > 0")
     page.page.locator(f"{tile} .tick").click()
     page.page.get_by_role("button", name="To the bin").click()
     page.page.wait_for_selector(".toast:has-text('1 moved to the bin.')")

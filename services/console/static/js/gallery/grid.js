@@ -12,12 +12,19 @@ function words(sample) {
   return `${timeOfDay(sample.captured_at)} ${sample.camera}: ${objects || "no object"}, ${word}`;
 }
 
+/** A picture that could not be read (the store was restarting) is asked for once more. */
+function again({currentTarget: image}) {
+  if (image.dataset.again) return;
+  image.dataset.again = "1";
+  setTimeout(() => { image.src = `${image.src}${image.src.includes("?") ? "&" : "?"}again=1`; }, 1000);
+}
+
 function Tile({sample, at, chosen, focused, bin, choose, open}) {
   const {word, px} = quality(sample);
   const [first] = sample.objects;
-  return html`<div role="gridcell" class="tile" tabindex=${focused ? 0 : -1} data-at=${at} data-name=${sample.name} aria-selected=${String(chosen)} aria-label=${words(sample)}
+  return html`<div role="gridcell" class="tile" tabindex=${focused ? 0 : -1} data-at=${at} data-name=${sample.name} aria-selected=${String(chosen)} title=${words(sample)}
       onClick=${(event) => (event.shiftKey || event.ctrlKey || event.metaKey ? choose(at, {extend: event.shiftKey}) : open(sample.name))}>
-    <img src=${sampleUrl(sample.name, "thumb", bin)} alt="" loading="lazy" width="320" height="180" />
+    <img src=${sampleUrl(sample.name, "thumb", bin)} alt="" loading="lazy" width="320" height="180" onError=${again} />
     <button class="tick" tabindex="-1" aria-hidden="true" onClick=${(event) => { event.stopPropagation(); choose(at, {extend: event.shiftKey}); }}>${chosen && html`<${Icon} name="check" />`}</button>
     <p class="row spread"><strong class="number">${timeOfDay(sample.captured_at)}</strong><span class="muted">${sample.camera}</span></p>
     <p class="row spread small"><span>${first ? `${first.name}${sample.objects.length > 1 ? ` +${sample.objects.length - 1}` : ""}` : ""}</span>

@@ -38,7 +38,7 @@ function Still({name, what, bin, label, clip}) {
 }
 
 function drawStill(root, bitmap, label, overlays) {
-  if (!bitmap) return;
+  if (!root || !bitmap) return;
   const [picture, over] = root.querySelectorAll("canvas");
   Object.assign(picture, {width: bitmap.width, height: bitmap.height});
   root.style.setProperty("--ratio", `${bitmap.width} / ${bitmap.height}`);

@@ -70,7 +70,7 @@ export function Last() {
     <a href="/gallery"><img class="thumb" src=${sampleUrl(last.sample, "thumb")} alt=${`Last sample, ${words}`} width="128" height="72" /></a>
     <p><strong class="number">${timeOfDay(last.time)}</strong> ${last.camera}<br /><span class="good"><${Icon} name="check" /> saved</span></p>
     <button class="button" aria-keyshortcuts=${shortcuts("undo")} onPointerDown=${keepFocus} onClick=${() => run("undo")}
-      aria-label=${`Undo ${words}`}><${Icon} name="undo-2" />Undo <kbd>${hint("undo")}</kbd></button></div>`;
+      title=${`Undo ${words}`}><${Icon} name="undo-2" />Undo <span class="visually-hidden">${words}</span><kbd>${hint("undo")}</kbd></button></div>`;
 }
 
 export function Refused() {

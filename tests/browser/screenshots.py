@@ -1,0 +1,113 @@
+"""``python -m tests.browser.screenshots``: the pictures in docs/images/console, from a real stack and browser."""
+
+from __future__ import annotations
+
+import sys
+import tempfile
+from pathlib import Path
+
+import cv2
+import numpy as np
+import pytest
+
+from tests.support.console_page import DESKTOP, TABLET, PageUnderTest, Site, console_site
+from tests.support.hygiene import own_place
+from tests.support.stack import ROOT
+
+OUT = ROOT / "docs/images/console"
+EXAMPLE = ROOT / "deploy/examples/synthetic.yaml"
+CAMERAS = """\
+cameras:
+  cam0: {driver: synthetic, width: 1280, height: 720, fps: 6, depth: true, seed: 1, prerendered: 40}
+  cam1: {driver: synthetic, width: 640, height: 360, fps: 3, seed: 2, prerendered: 12}
+"""
+QUALITY = 82
+SAMPLES = 14
+READY = {
+    "live": "[data-view=big-cam0-rgb][data-frame]:not([data-stale])",
+    "coverage": "td[data-now]",
+    "health": ".chart canvas",
+    "setup": "[data-view=setup-cam0][data-frame]",
+    "gallery": ".tile",
+}
+
+
+def main() -> int:
+    """Record a few samples, then take every picture."""
+    OUT.mkdir(parents=True, exist_ok=True)
+    with (
+        tempfile.TemporaryDirectory() as folder,
+        pytest.MonkeyPatch.context() as patch,
+        own_place(patch),
+    ):
+        text = EXAMPLE.read_text().replace("../../dataset", "./dataset").replace("session: synthetic", "session: boxes")
+        rig = Path(folder) / "rig.yaml"
+        rig.write_text(
+            text[: text.index("cameras:")].replace("session: boxes}", "session: boxes, keep_original: true}") + CAMERAS
+        )
+        with console_site(rig, Path(folder) / "dataset" / "boxes", "cam0", "cam1") as site:
+            site.stack.ask(command="record", camera="cam0", count=SAMPLES, interval_s=0.7, timeout_s=90.0)
+            take_all(site)
+    return 0
+
+
+def take_all(site: Site) -> None:
+    """Each view in both themes and on the tablet, and the states that the guide shows."""
+    for view, ready in READY.items():
+        for name, size, theme in (("light", DESKTOP, "light"), ("dark", DESKTOP, "dark"), ("tablet", TABLET, "light")):
+            page = site.open(view, size=size, theme=theme)
+            page.page.wait_for_selector(ready)
+            if view == "gallery":
+                page.wait("[...document.querySelectorAll('.tile img')].slice(0, 10).every((one) => one.naturalWidth)")
+            save(page, f"{view}-{name}")
+            site.close_pages()
+    opened(site)
+    split(site)
+    recording(site)
+
+
+def opened(site: Site) -> None:
+    """A sample, large."""
+    page = site.open(f"gallery?sample={site.samples()[-1]}")
+    page.page.wait_for_selector(".opened [data-drawn]")
+    page.page.wait_for_selector(".opened table")
+    save(page, "sample")
+    site.close_pages()
+
+
+def split(site: Site) -> None:
+    """Before and after."""
+    page = site.open("live")
+    page.press("i")
+    page.page.wait_for_selector("[data-view=after-cam0][data-frame]:not([data-stale])")
+    page.press("o")
+    save(page, "split")
+    site.close_pages()
+
+
+def recording(site: Site) -> None:
+    """While a recording runs."""
+    page = site.open("live", theme="dark")
+    page.drawn()
+    page.page.get_by_role("radio", name="Every").check()
+    page.press("r")
+    page.phase("recording")
+    page.wait("document.querySelector('.last img')?.naturalWidth > 0")
+    page.drawn()
+    save(page, "recording")
+    page.press("x")
+    page.phase("ready")
+
+
+def save(page: PageUnderTest, name: str) -> None:
+    """A small JPEG."""
+    page.page.evaluate("document.fonts.ready")
+    png = page.page.screenshot(type="png")
+    picture = cv2.imdecode(np.frombuffer(png, np.uint8), cv2.IMREAD_COLOR)
+    assert picture is not None
+    cv2.imwrite(str(OUT / f"{name}.jpg"), picture, [cv2.IMWRITE_JPEG_QUALITY, QUALITY])
+    print(OUT / f"{name}.jpg")
+
+
+if __name__ == "__main__":
+    sys.exit(main())
