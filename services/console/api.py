@@ -10,6 +10,7 @@ from starlette.responses import JSONResponse
 
 from common.config import Rig
 from common.errors import DatasetError
+from common.words import WORDS
 from services.console.catalog import Catalog
 from services.console.coverage import Views, answer, faces_with_markers, wanted_cells
 from services.console.hub import StateHub
@@ -78,6 +79,11 @@ def _state(source: Source) -> APIRouter:
 
 def _samples(source: Source) -> APIRouter:
     made = APIRouter()
+
+    @made.get("/api/words", tags=["state"], response_model=None)
+    async def words() -> Response:
+        """Every code in plain words: a title, and what to do."""
+        return JSONResponse({code: found._asdict() for code, found in WORDS.items()})
 
     @made.get("/api/coverage", tags=["samples"], response_model=None)
     async def coverage(name: Annotated[str, Query(alias="object", max_length=200)]) -> Response:
