@@ -67,9 +67,11 @@ def test_it_is_told_and_tried_again_until_it_opens(tmp_path: Path, monkeypatch: 
             error = status["services"].get("capture.cam0", {}).get("last_error")
             if error and error not in seen:
                 seen.append(error)
-            return status if status["cameras"].get("cam0", {}).get("phase") == "streaming" else None
+            # The service's heartbeat, which has the error, may come after the camera's state.
+            streams = status["cameras"].get("cam0", {}).get("phase") == "streaming"
+            return status if streams and not error else None
 
-        status = wait_for(opened, DEADLINE_S, "the camera to stream after its crashes")
+        wait_for(opened, DEADLINE_S, "the camera to stream after its crashes, and them to be forgotten")
         log = (endpoints.run_dir / "log" / "capture-cam0.log").read_text()
     events = [json.loads(line) for line in log.splitlines() if line.startswith("{")]
     died = [event for event in events if event["event"] == "camera.process_died"]
@@ -80,6 +82,5 @@ def test_it_is_told_and_tried_again_until_it_opens(tmp_path: Path, monkeypatch: 
     lost = [event for event in events if event["event"] == "camera.lost"]
     assert [event["retry_in_s"] for event in lost] == [1.0, 2.0], "the back-off goes on from life to life"
     assert any("cam0: the process died by SIGSEGV while opening the camera (crashing) at " in error for error in seen)
-    assert not status["services"]["capture.cam0"]["last_error"], "and is forgotten once the camera is back"
     assert (folder / "tries").read_text() == "x" * (CRASHES + 1)
     assert not list(endpoints.run_dir.glob("*.life"))

@@ -18,7 +18,7 @@ import pytest
 from common.dataset import SessionReader
 from tests.support.rendered_marker import drawing
 from tests.support.stack import ROOT, write_rig
-from tests.support.supervised import supervised
+from tests.support.supervised import DEADLINE_S, supervised
 
 pytestmark = [pytest.mark.process, pytest.mark.timeout(300)]
 PAGE = (ROOT / "docs" / "how-to" / "add-a-camera.md").read_text()
@@ -89,7 +89,7 @@ def test_the_example_package_is_installed_and_records(tmp_path: Path, monkeypatc
         assert ADDRESS in cameras
         rig = write_rig(tmp_path, OBJECT + cameras.replace(ADDRESS, address))
         with supervised(rig, "door") as stack:
-            answer = stack.ask(command="record", camera="door")
+            answer = stack.ask(command="record", camera="door", timeout_s=DEADLINE_S)
             assert answer["ok"], answer
             assert stack.status()["cameras"]["door"]["driver"] == "snapshot"
     reader = SessionReader(tmp_path / "dataset" / "test")
