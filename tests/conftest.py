@@ -8,11 +8,16 @@ from pathlib import Path
 from typing import Any
 
 import pytest
+from hypothesis import settings
 
 from tests.support.hygiene import Place, own_place
 from tests.support.stack import ServiceProcess, Stack
 
 ROOT = Path(__file__).resolve().parents[1]
+
+# A property doesn't fail because the machine is slow just now.
+settings.register_profile("tagmill", deadline=None)
+settings.load_profile("tagmill")
 
 
 @pytest.fixture(scope="session")

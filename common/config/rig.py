@@ -18,7 +18,7 @@ from common.config.models import DRIVER_OPTIONS, CameraConfig, RigConfig
 from common.config.objects import ObjectReader
 from common.config.problems import Problems, suggestion
 from common.config.schema import check_options, read_schema
-from common.config.surroundings import check_dataset_root, check_driver, check_inputs, check_network
+from common.config.surroundings import check_dataset_root, check_driver, check_inputs, check_network, unwritable
 from common.config.tree import Tree, read_tree
 from common.errors import ConfigError
 from common.geometry import Box
@@ -125,9 +125,9 @@ class Rig:
 def load_rig(path: Path, *, inputs: bool = False, cameras: bool = True) -> Rig:
     """Read and check a rig file.
 
-    With ``inputs`` also that the pictures and videos of its cameras are there: what ``check`` and ``up`` want to
-    know, while a running service leaves that to the one camera concerned. Without ``cameras`` the section is left
-    out, mistakes and all: markers are printed before a camera is calibrated.
+    With ``inputs`` also that the pictures and videos of its cameras are there and that the dataset can be written:
+    what ``check`` and ``up`` want to know, while a running service leaves that to the one concerned. Without
+    ``cameras`` the section is left out, mistakes and all: markers are printed before a camera is calibrated.
     Raises ConfigError whose ``problems`` are all mistakes, each ``file:line: field: reason``.
     """
     path = Path(path)
@@ -147,14 +147,12 @@ def load_rig(path: Path, *, inputs: bool = False, cameras: bool = True) -> Rig:
     root = (folder / config.dataset.root).resolve()
     check_dataset_root(tree, root, problems)
     problems.raise_if_any()
-    warnings: tuple[str, ...] = (
-        () if config.objects else (f"{path}: objects: there are none, so no frame can be labelled",)
-    )
+    warnings = [] if config.objects else [f"{path}: objects: there are none, so no frame can be labelled"]
     strange = sorted({*extrinsics, *(one.to for one in extrinsics.values())} - set(config.cameras))
-    warnings += tuple(
-        f"{path}: extrinsics: {config.extrinsics} names {name}, no camera of this rig" for name in strange
-    )
-    return Rig(path, folder, config, boxes, root, calibrations, warnings, extrinsics)
+    warnings += [f"{path}: extrinsics: {config.extrinsics} names {name}, no camera of this rig" for name in strange]
+    if inputs and (why := unwritable(root)):
+        warnings.append(why)
+    return Rig(path, folder, config, boxes, root, calibrations, tuple(warnings), extrinsics)
 
 
 def _family(tree: Tree, config: RigConfig, folder: Path, problems: Problems) -> Family | None:

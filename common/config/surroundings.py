@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import glob
+import os
 from importlib.metadata import entry_points
 from pathlib import Path
 from urllib.parse import urlsplit
@@ -69,6 +70,17 @@ def check_dataset_root(tree: Tree, root: Path, problems: Problems) -> None:
             path: FieldPath = ("dataset", "root")
             problems.add(found.line, path, f"{place} is not a folder, so no samples can be stored in {root}")
             return
+
+
+def unwritable(root: Path) -> str:
+    """What keeps this user from writing below a dataset root, empty if nothing does: it may be mended later."""
+    place = next((place for place in (root, *root.parents) if place.is_dir()), root)
+    if os.access(place, os.W_OK | os.X_OK):
+        return ""
+    return (
+        f"{place} can't be written, so samples in {root} will be refused; give this user the right to, or name another "
+        "dataset.root"
+    )
 
 
 def check_inputs(tree: Tree, name: str, camera: CameraConfig, folder: Path, problems: Problems) -> None:

@@ -9,6 +9,7 @@ import pytest
 
 from common.config.models import DRIVER_OPTIONS
 from common.errors import EXIT_BAD_CONFIG, EXIT_OK
+from tests.support.mounts import make_read_only, small_disk
 from tools.check import UNCALIBRATED
 from tools.cli import main
 
@@ -38,6 +39,17 @@ def test_guessed_intrinsics_are_called_so(tmp_path: Path, capsys: pytest.Capture
 
 def test_every_driver_says_what_is_known_without_a_calibration() -> None:
     assert UNCALIBRATED.keys() == DRIVER_OPTIONS.keys()
+
+
+def test_a_dataset_that_cannot_be_written_is_warned_about(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    path = tmp_path / "rig.yaml"
+    path.write_text("dataset: {root: ./disk/dataset}\ncameras: {cam0: {driver: synthetic}}\n")
+    with small_disk(tmp_path / "disk", 1) as disk:
+        assert main(["check", str(path)]) == EXIT_OK
+        assert "can't be written" not in capsys.readouterr().out
+        make_read_only(disk)
+        assert main(["check", str(path)]) == EXIT_OK
+        assert f"warning: {disk} can't be written, so samples in {disk}/dataset will be" in capsys.readouterr().out
 
 
 def test_the_share_counts_border_and_margin_and_warns(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
