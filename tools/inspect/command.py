@@ -112,7 +112,7 @@ def _show(console: Console, summary: Summary, found: Sequence[Suspect], shown: i
         rows = [
             [name, f"{one.median:.0%}", f"{one.low:.0%}", f"{one.high:.0%}"] for name, one in summary.erased.items()
         ]
-        print_table(console, "share of the window that was erased", ["class", "median", "5 %", "95 %"], rows)
+        print_table(console, "erased share of windows", ["class", "median", "5 %", "95 %"], rows)
     if not bad:
         console.print("No sample stands out.")
         return
