@@ -25,6 +25,8 @@ Model = Literal["pinhole", "fisheye"]
 WHAT = "calibration file"
 PINHOLE_LENGTHS = (0, 4, 5, 8, 12, 14)
 FISHEYE_LENGTH = 4
+SAME_ASPECT = 0.005
+"""Two aspect ratios are the same if they differ by no more than this share (sizes are whole pixels)."""
 
 # What the formats call the same thing; tagmill's own name first. FileStorage has no fixed names: these are
 # those of OpenCV's calibration samples and tools, and of ROS camera_info in both its spellings.
@@ -65,6 +67,12 @@ def read_calibration(path: Path, camera: str, size: tuple[int, int] | None = Non
     label = _Calibration(tree, problems).label(camera, size)
     problems.raise_if_any()
     return label
+
+
+def same_shape(calibration: CameraLabel, width: int, height: int) -> bool:
+    """Whether pictures of this size may be scaled ones of those calibrated: cut ones have another aspect ratio."""
+    across, down = width / calibration.width, height / calibration.height
+    return down > 0 and abs(across / down - 1) <= SAME_ASPECT
 
 
 def write_calibration(path: Path, camera: CameraLabel, quality: Mapping[str, Any] | None = None) -> None:

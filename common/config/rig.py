@@ -11,7 +11,7 @@ from pathlib import Path
 from typing import Any
 
 from common.config.addresses import presentable
-from common.config.calibration import read_calibration
+from common.config.calibration import read_calibration, same_shape
 from common.config.differences import plain_calibration, plain_family, plain_objects
 from common.config.extrinsics import Extrinsics, read_extrinsics
 from common.config.models import DRIVER_OPTIONS, CameraConfig, RigConfig
@@ -194,6 +194,8 @@ def _calibration(tree: Tree, name: str, camera: CameraConfig, folder: Path, prob
         for line in error.problems:
             problems.add(found.line, found.path, line)
         return None
+    if size is not None and same_shape(label, size[0] or 0, size[1] or 0):
+        return label  # scaled by the camera's process, which says so
     for key, wanted, given in (("width", camera.width, label.width), ("height", camera.height, label.height)):
         if wanted is not None and wanted != given:
             at = tree.nearest(("cameras", name, key))

@@ -4,12 +4,11 @@ from __future__ import annotations
 
 from typing import Literal
 
+from common.config.calibration import same_shape
 from common.errors import CameraError
 from common.geometry import CameraModel, model_difference
 from common.labels import CameraLabel
 
-_SAME_ASPECT = 0.005
-"""Two aspect ratios are the same if they differ by less than this share (sizes are whole pixels)."""
 _FAR_APART = 0.01
 """Calibration and factory contradict each other beyond this share of the picture's diagonal."""
 
@@ -49,7 +48,7 @@ def fit_to_size(calibration: CameraLabel, width: int, height: int) -> tuple[Came
         f"the calibration of {calibration.name} is for {calibration.width}x{calibration.height}, "
         f"its pictures are {width}x{height}"
     )
-    if abs(across / down - 1) > _SAME_ASPECT:
+    if not same_shape(calibration, width, height):
         raise CameraError(f"{sizes}; calibrate at the size that is used")
     (fx, skew, cx), (_, fy, cy), last = calibration.matrix
     # Integer = pixel centre, so it is the picture's edge at -0.5 that stays where it is.

@@ -12,7 +12,7 @@ from common.labels import CameraLabel
 from common.markers import family
 from common.scene import Rendered, Scene, SceneCamera, burn_number
 from services.capture.cameras.base import Description, EndOfStreamError, Grabbed
-from services.capture.cameras.intrinsics import label_of
+from services.capture.cameras.intrinsics import fit_to_size, label_of
 from services.capture.cameras.options import read_options
 from services.capture.cameras.pacing import Pacer
 
@@ -31,7 +31,7 @@ class SyntheticCamera:
     def __init__(self, name: str, config: CameraConfig, rig: Rig) -> None:
         self._options = options = read_options(name, config, SyntheticOptions)
         self._fps = config.fps or FPS
-        self._label = _intrinsics(name, config, options, rig)
+        self._label, self._warnings = _intrinsics(name, config, options, rig)
         model = CameraModel.from_label(self._label)
         matrix = model.matrix
         frustum = (model.width / 2 / float(matrix[0, 0]), model.height / 2 / float(matrix[1, 1]))
@@ -68,7 +68,7 @@ class SyntheticCamera:
 
     def describe(self) -> Description:
         """See Camera."""
-        return Description(self._label, self._fps, 1.0 if self._options.depth else None)
+        return Description(self._label, self._fps, 1.0 if self._options.depth else None, warnings=self._warnings)
 
     def close(self) -> None:
         """See Camera; nothing is held."""
@@ -89,13 +89,15 @@ class SyntheticCamera:
         )
 
 
-def _intrinsics(name: str, config: CameraConfig, options: SyntheticOptions, rig: Rig) -> CameraLabel:
-    """The calibration's, if the rig gives one; else those of the keys, which are the truth."""
+def _intrinsics(
+    name: str, config: CameraConfig, options: SyntheticOptions, rig: Rig
+) -> tuple[CameraLabel, tuple[str, ...]]:
+    """The calibration's, if the rig gives one; else those of the keys, which are the truth. What to say of them."""
     known = rig.calibration(name)
     if known is not None:
-        return known
+        return fit_to_size(known, config.width or known.width, config.height or known.height)
     width, height = config.width or SIZE[0], config.height or SIZE[1]
     focal = options.focal_px or FOCAL_PER_WIDTH * width
     matrix = np.array([[focal, 0, (width - 1) / 2], [0, focal, (height - 1) / 2], [0, 0, 1]])
     model = CameraModel(width, height, matrix, np.array(options.distortion or (0.0,) * 5))
-    return label_of(name, model, intrinsics_from="truth", serial=f"synthetic-{options.seed}")
+    return label_of(name, model, intrinsics_from="truth", serial=f"synthetic-{options.seed}"), ()

@@ -150,6 +150,8 @@ def test_a_calibration_comes_with_the_rig(tmp_path: Path) -> None:
         ConfigError, match=r"cameras\.cam0\.width: 640, but the calibration cal\.yaml is for 1280 x 720"
     ):
         load(tmp_path, {"cameras": {"cam0": {**camera, "width": 640}}})
+    scaled = load(tmp_path, {"cameras": {"cam0": {**camera, "width": 640, "height": 360}}})
+    assert scaled.calibration("cam0") == label  # the camera's process scales it, and says so
 
 
 # --- cameras of a further file

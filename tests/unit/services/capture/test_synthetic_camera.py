@@ -187,6 +187,16 @@ def test_a_calibration_decides_size_and_lens(tmp_path: Path) -> None:
     assert camera.grab(5.0).bgr.shape == (90, 160, 3)
 
 
+def test_a_calibration_of_another_size_is_scaled_and_said_so(tmp_path: Path) -> None:
+    (tmp_path / "cam.yaml").write_text(CALIBRATION)
+    keys = "driver: synthetic, width: 320, height: 180, calibration: cam.yaml"
+    (tmp_path / "rig.yaml").write_text(f"{OBJECTS}cameras:\n  cam0: {{{keys}}}\n")
+    rig = load_rig(tmp_path / "rig.yaml")
+    told = open_camera("cam0", rig.camera("cam0"), rig).describe()
+    assert told.camera.matrix[0] == (240.0, 0.0, 158.5)
+    assert "scaled by 2.000" in told.warnings[0]
+
+
 def test_a_lens_without_distortion_and_an_even_light(opened: Open) -> None:
     plain = opened("distortion: [], light: 0, clutter: 0, fps: 200")
     assert plain.describe().camera.distortion == (0.0,) * 5
