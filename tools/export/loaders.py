@@ -16,6 +16,7 @@ from typing import Any
 import numpy as np
 
 from common.errors import DatasetError
+from tools.export.formats.bop_rules import check_bop
 from tools.export.model import Export
 
 Loader = Callable[[Path, Export], str]
@@ -121,6 +122,11 @@ def with_ultralytics(folder: Path, export: Export) -> str:
     return f"ultralytics: {len(export.shots)} pictures with {found} targets, 0 corrupt"
 
 
+def with_own_bop_rules(folder: Path, export: Export) -> str:
+    """BOP without its toolkit."""
+    return check_bop(folder, export.splits)
+
+
 def with_bop_toolkit(folder: Path, export: Export) -> str:
     """BOP: the toolkit reads every scene."""
     inout = _import("bop_toolkit_lib.inout", "not on PyPI; see github.com/thodan/bop_toolkit")
@@ -143,6 +149,6 @@ LOADERS: dict[str, tuple[Loader, ...]] = {
     "yolo-segment": _YOLO,
     "yolo-pose": (with_ultralytics,),
     "coco": (with_pycocotools, with_supervision_coco),
-    "bop": (with_bop_toolkit,),
+    "bop": (with_own_bop_rules, with_bop_toolkit),
 }
 """By format; more than one: a second opinion."""

@@ -89,6 +89,8 @@ def _shots(selected: Selected, parted: Parted, exporter: Exporter, options: Opti
             cameras[id(change)] = change.exported_camera()
         camera = cameras[id(change)]
         targets = targets_of(source, camera, names, options.filters.objects, all_sides=options.all_sides)
+        if exporter.traits.whole:
+            targets = tuple(target for target in targets if np.isfinite(target.corners).all())
         shots.append(Shot(len(shots), stem, split, source, camera, change, targets))
     return shots
 

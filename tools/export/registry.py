@@ -19,6 +19,10 @@ BUILT_IN = {
     "yolo-obb": "tools.export.formats.yolo:YoloObb",
     "yolo-segment": "tools.export.formats.yolo:YoloSegment",
     "coco": "tools.export.formats.coco:Coco",
+    "bop": "tools.export.formats.bop:Bop",
+    "kitti": "tools.export.formats.kitti:Kitti",
+    "singleshotpose": "tools.export.formats.singleshotpose:SingleShotPose",
+    "dope": "tools.export.formats.dope:Dope",
 }
 """Name to ``module:attribute``."""
 

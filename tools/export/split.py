@@ -24,6 +24,8 @@ from tools.export.options import SplitWish
 
 BLOCKS = 12
 """At least so many time blocks are made of the samples, so that shares can be met."""
+SHORTEST = 5
+"""Samples of a block at least, where no pause ends it: blocks of one would be frames drawn at random."""
 GAP_NS = 10_000_000_000
 """A pause this long ends a block."""
 MOST_LEFT_OUT = 0.25
@@ -77,7 +79,7 @@ def _blocks(sources: Sequence[Source]) -> list[str]:
 
     All cameras of a session share its blocks, since they see the same thing at the same time.
     """
-    longest = max(-(-len(sources) // BLOCKS), 1)
+    longest = max(-(-len(sources) // BLOCKS), SHORTEST)
     found = [""] * len(sources)
     sessions: dict[str, list[int]] = {}
     for index, source in enumerate(sources):

@@ -23,6 +23,14 @@ def session60(tmp_path_factory: pytest.TempPathFactory) -> Path:
     return folder
 
 
+@pytest.fixture(scope="session")
+def session12(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """The same with 12 samples."""
+    folder = tmp_path_factory.mktemp("sessions") / "few"
+    write_session(folder, samples(12))
+    return folder
+
+
 @pytest.fixture
 def export(capsys: pytest.CaptureFixture[str]) -> Export:
     """``export(format, session..., out=..., code=0, ...words)``: the JSON that the command prints."""
