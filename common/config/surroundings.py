@@ -126,4 +126,4 @@ def _console_fault(address: str) -> str:
         return "the port must be 1 to 65535"
     if parts.scheme != "http" or not parts.hostname:
         return "it begins with http:// and a host"
-    return "the port is missing" if not port else ""
+    return "the port is missing" if port is None else ""

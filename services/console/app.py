@@ -6,13 +6,13 @@ from collections.abc import Callable, Coroutine
 from typing import Any, Protocol
 
 from fastapi import FastAPI, Response, WebSocket
-from starlette.responses import FileResponse, RedirectResponse
+from starlette.responses import RedirectResponse
 
 from common import VERSION
 from services.console import api, rest
 from services.console.feeds import Feeds
 from services.console.metrics import Metrics
-from services.console.page import Page
+from services.console.page import Page, StaticFile
 from services.console.rest import Ask, refusal
 from services.console.viewer import Viewer
 
@@ -36,7 +36,7 @@ def application(home: Home, page: Page, command: Ask) -> FastAPI:
     app = FastAPI(title="tagmill console", version=VERSION, docs_url=None, redoc_url=None)
     app.include_router(rest.router(command))
     app.include_router(api.router(home))
-    _add_page(app, page)
+    add_page(app, page)
 
     @app.websocket("/ws")
     async def socket(connection: WebSocket) -> None:
@@ -50,20 +50,26 @@ def application(home: Home, page: Page, command: Ask) -> FastAPI:
     return app
 
 
-def _add_page(app: FastAPI, page: Page) -> None:
+def add_page(app: FastAPI, page: Page) -> None:
+    """The routes of the page itself: its views, which are one file, and what that file needs."""
+
+    def sent(file: StaticFile) -> Response:
+        # Small files of the page cache: read here; FileResponse would start threads that outlive the loop.
+        return Response(file.path.read_bytes(), media_type=file.media_type, headers=_FRESH)
+
     async def root() -> Response:
         return RedirectResponse("/live", 307)
 
     async def index() -> Response:
         if page.index is None:
             return refusal(503, "no_page", "the page's files are missing from this installation")
-        return FileResponse(page.index.path, headers=_FRESH)
+        return sent(page.index)
 
     async def static(name: str) -> Response:
         found = page.files.get(name)
         if found is None:
             return refusal(404, "not_found", "there is no such file")
-        return FileResponse(found.path, media_type=found.media_type, headers=_FRESH)
+        return sent(found)
 
     def serve(path: str, route: Route) -> None:
         app.add_api_route(path, route, methods=["GET"], include_in_schema=False, response_model=None)

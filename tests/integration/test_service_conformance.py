@@ -38,6 +38,7 @@ SUBJECTS = [
     Subject("detect", "detect.0"),
     Subject("label", "label.0", sockets=("orders-label.0",)),
     Subject("store", "store", sockets=("orders-store",)),
+    Subject("console", "console"),
     Subject("control", "control", sockets=("command",)),
 ]
 LIMIT_S = 15.0

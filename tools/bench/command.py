@@ -13,6 +13,7 @@ BENCHES = {
     "load": "tools.bench.load",
     "detect": "tools.bench.detect",
     "render": "tools.bench.render",
+    "console": "tools.bench.console",
 }
 
 

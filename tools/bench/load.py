@@ -86,6 +86,7 @@ def write_rig(folder: Path, args: argparse.Namespace, size: tuple[int, int]) -> 
     """The demo's objects, and as many synthetic cameras as asked for."""
     rig = yaml.safe_load(_OBJECTS.read_text())
     rig["dataset"] = {"root": "./dataset", "session": "load"}
+    rig["network"] = {"console": None}
     rig["workers"] = {"detect": args.detect_workers, "label": args.label_workers}
     rig["cameras"] = {
         f"cam{index}": {
