@@ -13,9 +13,9 @@ from typing import Any
 import pytest
 
 from common.bus import CommandClient
-from common.dataset import label_path, read_session
+from common.dataset import label_path, picture_path, read_session
 from common.dataset.bin import bin_of
-from common.errors import EXIT_OK, EXIT_REFUSED
+from common.errors import EXIT_FOUND, EXIT_OK, EXIT_REFUSED
 from common.ledgers import CameraLedger
 from common.messages import SamplesChanged
 from common.topics import SAMPLES, SERVICE
@@ -347,6 +347,27 @@ def the_command_line_asks_the_stack_that_has_the_session_open(
     assert "tagmill down" in capsys.readouterr().err
 
 
+def what_inspect_finds_broken_is_moved_by_the_stack(ask: Ask, stack: Stack, capsys: pytest.CaptureFixture[str]) -> None:
+    (newest,) = [item["name"] for item in ask(command="samples", limit=1)["samples"]]
+    rig = ("--rig", str(stack.folder / "rig.yaml"))
+    picture = session_of(stack) / picture_path("rgb", newest)
+    whole = picture.read_bytes()
+    picture.write_bytes(whole[:-20])
+    alone = session_of(stack) / "rgb" / f"rgb_{newest.replace('cam0', 'cam9')}.png"
+    alone.write_bytes(whole)
+    assert main(["inspect", str(session_of(stack)), "--repair", *rig]) == EXIT_FOUND
+    told = capsys.readouterr().out
+    assert "1 broken sample is in the bin" in told
+    assert "the running stack may be about to write" in told
+    assert alone.exists()
+    assert ask(command="samples", filter={"bin": True})["samples"][0]["name"] == newest
+    assert main(["dataset", "split", str(session_of(stack)), "--by", "camera", *rig]) == EXIT_REFUSED
+    assert "a running stack has the session test open" in capsys.readouterr().err
+    alone.unlink()
+    ask(command="restore", samples=[newest])
+    picture.write_bytes(whole)
+
+
 def a_ledger_tells_what_was_deleted_whoever_keeps_it(ask: Ask, label_side: StoreSide) -> None:
     label_side.answer_to(label_side.ledger(spec(), CameraLedger(captured=5, recorded=5), ended=True))
     (undone,) = ask(command="undo")["samples"]
@@ -365,6 +386,7 @@ def test_undo_and_restore_by_hand_and_by_command_line(
     ask: Ask, stack: Stack, capsys: pytest.CaptureFixture[str]
 ) -> None:
     the_command_line_asks_the_stack_that_has_the_session_open(ask, stack, capsys)
+    what_inspect_finds_broken_is_moved_by_the_stack(ask, stack, capsys)
     undo_goes_further_back_each_time_and_restore_puts_back(ask, stack)
 
 

@@ -208,10 +208,8 @@ def _tell(
         return
     if moved.samples:
         names = " ".join(moved.samples[:3]) + (" ..." if len(moved.samples) > 3 else "")
-        console.print(
-            f"{len(moved.samples)} broken samples are in the bin; 'tagmill dataset restore --session {name} {names}' "
-            "puts them back"
-        )
+        what = "1 broken sample is" if len(moved.samples) == 1 else f"{len(moved.samples)} broken samples are"
+        console.print(f"{what} in the bin; 'tagmill dataset restore --session {name} {names}' puts them back")
     if moved.quarantine is not None:
         console.print(f"{len(moved.files)} files without a sample are in {moved.quarantine}; move them back to undo it")
     if moved.left is not None:
