@@ -59,11 +59,21 @@ def take_all(site: Site) -> None:
             page.page.wait_for_selector(ready)
             if view == "gallery":
                 page.wait("[...document.querySelectorAll('.tile img')].slice(0, 10).every((one) => one.naturalWidth)")
+            if view == "live":
+                settled(page)
             save(page, f"{view}-{name}")
             site.close_pages()
     opened(site)
     split(site)
     recording(site)
+
+
+def settled(page: PageUnderTest) -> None:
+    """Until the big picture has its label, its rate is known, and the thumbnail is there."""
+    page.wait("document.querySelector('.last img')?.naturalWidth > 0")
+    page.wait("/[1-9].*s/.test(document.querySelector('.bigpicture .caption-line span:nth-of-type(3)').textContent)")
+    page.wait("document.querySelector('[data-view=small-cam1]')?.dataset.frame")
+    page.wait("document.querySelector('[data-view=big-cam0-rgb]').label?.objects?.length")
 
 
 def opened(site: Site) -> None:
@@ -93,7 +103,7 @@ def recording(site: Site) -> None:
     page.press("r")
     page.phase("recording")
     page.wait("document.querySelector('.last img')?.naturalWidth > 0")
-    page.drawn()
+    settled(page)
     save(page, "recording")
     page.press("x")
     page.phase("ready")

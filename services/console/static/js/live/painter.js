@@ -115,6 +115,7 @@ export class Painter {
       this.root.style.setProperty("--ratio", `${header.source_size[0]} / ${header.source_size[1]}`);
     }
     picture.getContext("2d").drawImage(bitmap, 0, 0);
+    const first = this.header === null;
     this.header = header;
     this.times.push(performance.now());
     if (this.times.length > 60) this.times.shift();
@@ -122,6 +123,7 @@ export class Painter {
     this.root.dataset.frame = header.frame;
     this.root.dataset.boot = header.boot;
     this.overlay();
+    if (first) this.report();
     this.onDrawn?.(header);
   }
 
@@ -155,7 +157,7 @@ export class Painter {
       this.overlay();
     }
     const recent = this.times.filter((at) => moment - at < 2000);
-    const fps = recent.length > 1 ? ((recent.length - 1) * 1000) / (recent.at(-1) - recent[0]) : 0;
+    const fps = recent.length > 1 ? ((recent.length - 1) * 1000) / (recent.at(-1) - recent[0]) : null;
     state.drawn.value = {...state.drawn.peek(), [this.id]: {...header, drawn_age_ms: header.age_ms, age_ms, stale, fps: stale ? 0 : fps}};
   }
 

@@ -47,7 +47,7 @@ export function Caption({camera, kind, header}) {
   return html`<p class="caption-line number">
     <strong>${camera}</strong>
     <span>${{depth: "Depth", after: "Before | after"}[kind] ?? "RGB"}</span>
-    ${header && html`<span>frame ${header.frame}</span><span>${header.fps.toFixed(1)}/s</span>
+    ${header && html`<span>frame ${header.frame}</span><span>${header.fps === null ? "–" : header.fps.toFixed(1)}/s</span>
       <span>${header.age_ms > 1000 + header.drawn_age_ms ? html`<strong class="warn">${(header.age_ms / 1000).toFixed(1)} s old</strong>` : `${Math.round(header.drawn_age_ms)} ms`}</span>
       <span class="optional">${header.source_size[0]}×${header.source_size[1]}${header.reduced ? " · reduced for this connection" : ""}</span>`}
   </p>`;
