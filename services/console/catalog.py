@@ -6,6 +6,7 @@ piece of news it is read anew.
 
 from __future__ import annotations
 
+import asyncio
 from collections.abc import Awaitable, Callable
 from typing import Any
 
@@ -28,6 +29,7 @@ class Catalog:
         self.binned: dict[str, Plain] = {}
         self.version = 0
         self._ask = ask
+        self._reading = asyncio.Lock()
         self._wanted = True
         self._new: set[str] = set()
         self._news: tuple[str, int] | None = None
@@ -70,11 +72,12 @@ class Catalog:
 
     async def refresh(self) -> Plain | None:
         """Bring it up to date; the refusal if the store can't be asked now."""
-        if self._wanted:
-            return await self._read_all()
-        if not self._new:
-            return None
-        return await self._read_new()
+        async with self._reading:  # who asks meanwhile waits for the same answer
+            if self._wanted:
+                return await self._read_all()
+            if not self._new:
+                return None
+            return await self._read_new()
 
     def find(self, name: str, *, binned: bool) -> Plain | None:
         """A sample by its name, None if there is none."""

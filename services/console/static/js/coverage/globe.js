@@ -16,7 +16,7 @@ export function Globe({coverage, now}) {
     view.value = {azimuth: old.azimuth + azimuth, elevation: Math.max(-85, Math.min(85, old.elevation + elevation))};
   };
   const keys = {ArrowLeft: [-STEP_DEG, 0], ArrowRight: [STEP_DEG, 0], ArrowUp: [0, STEP_DEG], ArrowDown: [0, -STEP_DEG]};
-  useEffect(() => { draw(canvas.current, coverage, now, view.value); });
+  useEffect(() => { if (canvas.current) draw(canvas.current, coverage, now, view.value); });
   return html`<canvas class="globe" ref=${canvas} width="440" height="440" tabindex="0" role="img"
     aria-label="Sphere of the recorded views; the table beside it says the same. Arrow keys turn it."
     onKeyDown=${(event) => { if (keys[event.key]) { event.preventDefault(); turn(...keys[event.key]); } }}

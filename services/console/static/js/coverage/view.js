@@ -36,7 +36,7 @@ function Map({coverage, now}) {
     that is seen, rows how far the camera is above it</caption>
     <thead><tr><td></td>${sides(coverage.bins.azimuth).map((one) => html`<th scope="colgroup" colspan=${one.span}>${one.name}</th>`)}</tr></thead>
     <tbody>${rows(coverage, now?.cell).map((row) => html`<tr><th scope="row">${row.from}…${row.to}°</th>
-      ${row.cells.map((cell) => html`<td class="cell" data-level=${cell.level} data-wanted=${String(cell.wanted)} data-now=${cell.now ? "" : undefined}
+      ${row.cells.map((cell) => html`<td class="cell" data-count=${cell.count} data-level=${cell.level} data-wanted=${String(cell.wanted)} data-now=${cell.now ? "" : undefined}
         title=${`${cell.words}: ${cell.count}`}>${cell.now ? html`<span class="here" aria-hidden="true"></span><span class="visually-hidden">now here, </span>` : ""}
         ${cell.count || (cell.wanted ? html`<span aria-label="none">0</span>` : html`<span aria-label="not needed">·</span>`)}</td>`)}</tr>`)}</tbody></table></div>
     <p class="legend small"><span><b class="cell swatch" data-level="0" data-wanted="true">0</b> missing</span>

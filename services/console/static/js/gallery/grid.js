@@ -35,8 +35,10 @@ export function Grid({samples, chosen, focusAt, bin, choose, open, columns}) {
   const grid = useRef();
   const across = useRef(1);
   useEffect(() => {
+    if (!grid.current) return undefined;
     const count = () => {
-      across.current = getComputedStyle(grid.current).gridTemplateColumns.split(" ").length;
+      if (!grid.current?.isConnected) return;
+      across.current = getComputedStyle(grid.current.firstElementChild).gridTemplateColumns.split(" ").length;
       columns(across.current);
     };
     const sizes = new ResizeObserver(count);

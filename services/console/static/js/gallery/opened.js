@@ -26,6 +26,7 @@ function Still({name, what, bin, label, clip}) {
     return () => { gone = true; bitmap.peek()?.close(); bitmap.value = null; };
   }, [name, what, bin]);
   useEffect(() => {
+    if (!root.current) return undefined;
     const draw = () => drawStill(root.current, bitmap.peek(), label, overlays);
     draw();
     const sizes = new ResizeObserver(draw);

@@ -28,8 +28,9 @@ export const setColumns = (n) => { columns = n; };
 async function load(limit) {
   const filter = filterOf(route.peek().query);
   const answer = await command("samples", {filter, limit: Math.min(500, limit)}, 30000);
+  if (JSON.stringify(filter) !== JSON.stringify(filterOf(route.peek().query))) return; // another list is wanted by now
   if (!answer.ok) { list.value = {samples: [], total: 0, stored: null, in_bin: null, why: answer.error.message}; return; }
-  list.value = answer;
+  list.value = {...answer, bin: Boolean(filter.bin)};
   const there = new Set(answer.samples.map((one) => one.name));
   chosen.value = new Set([...chosen.peek()].filter((name) => there.has(name)));
   focusAt.value = Math.min(focusAt.peek(), Math.max(0, answer.samples.length - 1));
@@ -38,7 +39,7 @@ async function load(limit) {
 async function more() {
   const known = list.peek();
   const answer = await command("samples", {filter: filterOf(route.peek().query), limit: PAGE, offset: known.next_offset}, 30000);
-  if (answer.ok) list.value = {...answer, samples: [...known.samples, ...answer.samples]};
+  if (answer.ok) list.value = {...known, next_offset: answer.next_offset, samples: [...known.samples, ...answer.samples]};
 }
 
 const names = () => (list.value?.samples ?? []).map((one) => one.name);
@@ -155,6 +156,6 @@ export function Gallery() {
   }
   return html`<div class="stack"><${Toolbar} query=${query} /><${Filter} query=${query} />
     ${list.value === null ? html`<p class="muted">Reading…</p>` : samples.length
-      ? html`<${Grid} samples=${samples} chosen=${chosen.value} focusAt=${focusAt.value} bin=${Boolean(query.bin)} choose=${choose} open=${open} columns=${setColumns} />` : html`<${Empty} query=${query} />`}
+      ? html`<${Grid} samples=${samples} chosen=${chosen.value} focusAt=${focusAt.value} bin=${list.value.bin} choose=${choose} open=${open} columns=${setColumns} />` : html`<${Empty} query=${query} />`}
     ${list.value?.next_offset != null && html`<button class="button" onClick=${more}>Show more, ${count(list.value.total - samples.length)} are left</button>`}</div>`;
 }

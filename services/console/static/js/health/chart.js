@@ -2,11 +2,12 @@
 import {useEffect, useRef} from "preact/hooks";
 import {html} from "../html.js";
 import * as state from "../state.js";
-import {history, total} from "./history.js";
+import {KEPT, history, total} from "./history.js";
 
 export function Spark({values}) {
   const canvas = useRef();
   useEffect(() => {
+    if (!canvas.current) return;
     const context = canvas.current.getContext("2d");
     const {width, height} = canvas.current;
     const most = Math.max(1, ...values.map((n) => n ?? 0));
@@ -41,13 +42,13 @@ export function Chart({title, unit, series}) {
   useEffect(() => {
     let gone = false;
     uPlot().then((Plot) => {
-      if (gone) return;
+      if (gone || !place.current) return;
       const style = getComputedStyle(place.current);
       const ink = (name) => style.getPropertyValue(name).trim();
       const axis = {stroke: ink("--muted"), grid: {stroke: ink("--hair"), width: 1}, ticks: {stroke: ink("--hair")}, font: "12px system-ui"};
       plot.current = new Plot({
         width: place.current.clientWidth, height: 180, cursor: {show: false}, legend: {show: false},
-        scales: {x: {time: true}, y: {range: (_, low, high) => [0, Math.max(1, high * 1.1)]}},
+        scales: {x: {time: true, range: (_, low, high) => [high - KEPT, high]}, y: {range: (_, low, high) => [0, Math.max(1, high * 1.1)]}},
         axes: [axis, {...axis, size: 56, values: (_, ticks) => ticks.map((tick) => `${tick}`)}],
         series: [{}, ...series.map(({label}, i) => ({label, stroke: ink(PENS[i][0]), width: 2, dash: PENS[i][1], points: {show: false}}))],
       }, data(series), place.current);
@@ -56,7 +57,8 @@ export function Chart({title, unit, series}) {
   }, [state.theme.value]);
   useEffect(() => { plot.current?.setData(data(series)); }, [history.at(-1)?.at]);
   useEffect(() => {
-    const sizes = new ResizeObserver(() => plot.current?.setSize({width: place.current.clientWidth, height: 180}));
+    if (!place.current) return undefined;
+    const sizes = new ResizeObserver(() => plot.current?.setSize({width: place.current?.clientWidth ?? 300, height: 180}));
     sizes.observe(place.current);
     return () => sizes.disconnect();
   }, []);

@@ -51,15 +51,15 @@ function Pipe() {
   })}</ol>`;
 }
 
-function Row({name, service}) {
-  const lost = Object.entries(service.dropped ?? {}).map(([why, n]) => `${count(n)} ${why.replaceAll("_", " ")}`).join(", ");
+function Row({name, service, cpus}) {
+  const lost = Object.entries(service.dropped ?? {}).map(([why, n]) => `${count(n)} ${why.replaceAll(/[_:]/g, " ")}`).join(", ");
   const {latency_p50_ms: p50, latency_p99_ms: p99, cpu_percent: cpu} = service.numbers ?? {};
   return html`<tr><th scope="row">${name}</th>
     <td>${service.alive ? html`<span class=${service.phase === "running" ? "good" : "warn"}><${Icon} name=${service.phase === "running" ? "check" : "triangle-alert"} /> ${KIND_WORDS[service.phase]}</span>`
       : html`<span class="warn"><${Icon} name="triangle-alert" /> away for ${span(service.age_s)}</span>`}${service.restarts ? html` <span class="muted small">restarted ${service.restarts}×</span>` : ""}</td>
     <td class="number">${rate(rateOf(service))}</td>
     <td class="number">${p50 === undefined ? "" : `${Math.round(p50)} / ${Math.round(p99)} ms`}</td>
-    <td class="number">${cpu === undefined ? "" : `${Math.round(cpu)} %`}</td>
+    ${cpus && html`<td class="number">${cpu === undefined ? "" : `${Math.round(cpu)} %`}</td>`}
     <td class="small">${lost}</td>
     <td><${Spark} values=${history.slice(-120).map((one) => one.services[name]?.rate ?? null)} /></td></tr>`;
 }
@@ -80,11 +80,12 @@ function Room() {
 export function Health() {
   const status = state.topics.status.value;
   const services = Object.entries(status?.services ?? {}).sort(([a], [b]) => order(a) - order(b) || a.localeCompare(b));
+  const cpus = services.some(([, service]) => service.numbers?.cpu_percent !== undefined);
   return html`<h1 class="visually-hidden">Health</h1><div class="stack health">
     <${Sentences} /><${Pipe} />
     <div class="scroll panel" tabindex="0" role="region" aria-label="Services in numbers"><table class="services"><caption class="visually-hidden">Services</caption><thead><tr><th scope="col">Service</th><th scope="col">State</th>
-      <th scope="col">a second</th><th scope="col">Wait p50 / p99</th><th scope="col">CPU</th><th scope="col">Passed over, and why</th><th scope="col">Last two minutes</th></tr></thead>
-      <tbody>${services.map(([name, service]) => html`<${Row} key=${name} name=${name} service=${service} />`)}</tbody></table></div>
+      <th scope="col">a second</th><th scope="col">Wait p50 / p99</th>${cpus && html`<th scope="col">CPU</th>`}<th scope="col">Passed over, and why</th><th scope="col">Last two minutes</th></tr></thead>
+      <tbody>${services.map(([name, service]) => html`<${Row} key=${name} name=${name} service=${service} cpus=${cpus} />`)}</tbody></table></div>
     <${Room} />
     <div class="two"><${Chart} title="Frames" unit="a second" series=${[{label: "captured", kind: "capture", field: "rate"}, {label: "labelled", kind: "label", field: "rate"}, {label: "stored", kind: "store", field: "rate"}]} />
       <${Chart} title="Wait until labelled" unit="ms" series=${[{label: "half of them", kind: "label", field: "p50"}, {label: "99 of 100", kind: "label", field: "p99"}]} /></div>

@@ -116,7 +116,7 @@ function chips(object, show) {
   const measure = [];
   if (show.D) measure.push(`${Math.round(object.distance_mm)} mm`);
   const sigma = object.quality?.uncertainty?.distance_mm;
-  if (show.E && sigma != null) measure.push(`±${sigma < 1 ? sigma.toFixed(1) : Math.round(sigma)}${show.D ? "" : " mm"}`);
+  if (show.E && sigma != null) measure.push(`±${sigma < 0.05 ? "<0.1" : sigma < 1 ? sigma.toFixed(1) : Math.round(sigma)}${show.D ? "" : " mm"}`);
   if (measure.length) lines.push(measure.join(" "));
   if (show.C && object.quality?.ambiguous) lines.push("two poses fit");
   if (show.C && object.pose_source !== "measured") lines.push(object.pose_source);
@@ -149,7 +149,7 @@ function line(context, {points, closed, colour, width, dash = [], fill}, scale, 
   points.forEach((point, i) => context[i ? "lineTo" : "moveTo"](...place(point, scale)));
   if (closed) context.closePath();
   if (fill) {
-    context.globalAlpha = 0.14;
+    context.globalAlpha = 0.08;
     context.fillStyle = colour;
     context.fill();
     context.globalAlpha = 1;

@@ -19,6 +19,7 @@ const Canvases = () => html`<canvas class="picture"></canvas><canvas class="over
 
 function usePainter(root, options, deps, whenReady) {
   useEffect(() => {
+    if (!root.current) return undefined;
     const painter = new Painter(root.current, options);
     whenReady?.(painter);
     return () => { whenReady?.(null); painter.close(); };
