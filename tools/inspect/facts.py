@@ -72,9 +72,9 @@ class Facts:
     """One sample. ``problems`` of its files; without a readable label and picture nothing else is known.
 
     ``pixels``: a checksum of the stored picture's pixels.
-    ``remains``: markers that the detector finds in the stored picture. ``original_px``: median distance of the
-    labelled marker corners from those in the picture as captured; ``changed``: the share of pixels outside of the
-    erased regions that differ from it.
+    ``remains``: markers that the detector finds in the stored picture. ``original_px``: median distance of an
+    object's labelled marker corners from those in the picture as captured; ``changed``: the share of pixels outside
+    of the erased regions that differ from it.
     """
 
     sample: str

@@ -99,17 +99,23 @@ class Inspector:
         return found
 
     def _moved(self, label: Label, original: Grey) -> float | None:
-        """Median distance of labelled marker corners from those that the original shows; None without any."""
+        """Distance of an object's labelled marker corners from those that the original shows; None without any.
+
+        The median of each object, and of those the largest.
+        """
         if self._detector is None:
             return None
         there = {marker.id: np.array(marker.corners) for marker in self._detector.detect(original)}
-        pairs = [
-            np.linalg.norm(np.array(side.marker_corners) - there[side.marker], axis=1)
-            for item in label.objects
-            for side in item.sides
-            if side.marker in there
-        ]
-        return float(np.median(np.concatenate(pairs))) if pairs else None
+        medians = []
+        for item in label.objects:
+            pairs = [
+                np.linalg.norm(np.array(side.marker_corners) - there[side.marker], axis=1)
+                for side in item.sides
+                if side.marker in there
+            ]
+            if pairs:
+                medians.append(float(np.median(np.concatenate(pairs))))
+        return max(medians, default=None)
 
     def _object(self, item: ObjectLabel, label: Label, camera: CameraModel, opened: Opened) -> ObjectFacts:
         pose, box = Pose.from_label(item.pose), self._boxes.get(item.name)
