@@ -98,7 +98,7 @@ def write(prepared: Prepared, export: Export, workers: int, tick: Tick = lambda:
         told = explain(error, folder)
         message = told.message.replace(" or move the dataset (dataset.root)", ", or choose another folder")
         message = message.replace(", or open another session", "")
-        raise RefusedError(f"{message}; the same command goes on where it stopped", code=told.code) from error
+        raise RefusedError(f"{message}; the same command goes on where it stopped", code="bad_out") from error
     done.kept -= done.written
     return done
 
@@ -240,7 +240,7 @@ def _room(prepared: Prepared) -> None:
         raise NoSpaceError(
             f"the export needs about {prepared.need / 1e6:.0f} MB, {near} has {free / 1e6:.0f} MB free; nothing was "
             f"written: free some, or choose another folder",
-            code="disk_full",
+            code="bad_out",
         )
 
 
