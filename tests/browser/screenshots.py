@@ -73,7 +73,9 @@ def settled(page: PageUnderTest) -> None:
     page.wait("document.querySelector('.last img')?.naturalWidth > 0")
     page.wait("/[1-9].*s/.test(document.querySelector('.bigpicture .caption-line span:nth-of-type(3)').textContent)")
     page.wait("document.querySelector('[data-view=small-cam1]')?.dataset.frame")
-    page.wait("document.querySelector('[data-view=big-cam0-rgb]').label?.objects?.length")
+    page.wait(
+        "document.querySelector('[data-view=big-cam0-rgb]').label?.objects?.length && !document.querySelector('.trouble')"
+    )
 
 
 def opened(site: Site) -> None:

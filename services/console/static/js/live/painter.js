@@ -21,6 +21,7 @@ export class Painter {
     this.times = [];
     this.closed = false;
     this.led = 0;
+    this.labelled = -Infinity;
     this.sizes = new ResizeObserver(() => this.resized());
     this.sizes.observe(root);
     this.seen = new IntersectionObserver(([entry]) => { this.inView = entry.isIntersecting; this.wish(); });
@@ -117,6 +118,7 @@ export class Painter {
     picture.getContext("2d").drawImage(bitmap, 0, 0);
     const first = this.header === null;
     this.header = header;
+    if (header.label) this.labelled = performance.now();
     this.times.push(performance.now());
     if (this.times.length > 60) this.times.shift();
     this.root.label = header.label;
@@ -158,7 +160,7 @@ export class Painter {
     }
     const recent = this.times.filter((at) => moment - at < 2000);
     const fps = recent.length > 1 ? ((recent.length - 1) * 1000) / (recent.at(-1) - recent[0]) : null;
-    state.drawn.value = {...state.drawn.peek(), [this.id]: {...header, drawn_age_ms: header.age_ms, age_ms, stale, fps: stale ? 0 : fps}};
+    state.drawn.value = {...state.drawn.peek(), [this.id]: {...header, drawn_age_ms: header.age_ms, age_ms, stale, late: moment - this.labelled > STALE_MS, fps: stale ? 0 : fps}};
   }
 
   /** The frame as the operator sees it now, while it is younger than `ms`. */

@@ -37,7 +37,7 @@ function Trouble({camera, header}) {
     if (!header && !why) return html`<p class="trouble quiet">${gone}</p>`;
     return html`<p class="trouble"><strong>${gone}</strong> ${why}</p>`;
   }
-  if (!header.label) {
+  if (header.late) {
     const title = state.words.value[header.why]?.title ?? "Labels are late.";
     return html`<p class="trouble chiplike">${title} Overlays are hidden.</p>`;
   }
