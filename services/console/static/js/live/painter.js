@@ -21,7 +21,7 @@ export class Painter {
     this.times = [];
     this.closed = false;
     this.led = 0;
-    this.labelled = -Infinity;
+    this.labelled = performance.now();
     this.sizes = new ResizeObserver(() => this.resized());
     this.sizes.observe(root);
     this.seen = new IntersectionObserver(([entry]) => { this.inView = entry.isIntersecting; this.wish(); });
