@@ -34,7 +34,7 @@ from tests.support.supervised import (
 
 pytestmark = [pytest.mark.process, pytest.mark.timeout(400)]
 
-PROGRAMS = {"control", "store", "label", "detect", "capture-cam0"}
+PROGRAMS = {"control", "store", "label", "detect", "capture-cam0", "console"}
 
 
 # --- journey 1: supervisord -n -c deploy/supervisord.conf
