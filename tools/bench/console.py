@@ -14,7 +14,6 @@ import re
 import tempfile
 from dataclasses import asdict, dataclass
 from pathlib import Path
-from typing import Any
 
 import yaml
 from rich.console import Console
@@ -155,17 +154,17 @@ def _print(rows: list[Looking], args: argparse.Namespace) -> None:
         others = sum(usage.cpu_percent for name, usage in one.processes.items() if name != "console")
         late = "-" if one.glass_to_glass_p50_ms is None else f"{one.glass_to_glass_p50_ms:.1f}"
         latest = "-" if one.glass_to_glass_p99_ms is None else f"{one.glass_to_glass_p99_ms:.1f}"
-        console: Any = one.processes.get("console")
-        own = "-" if console is None else f"{console.cpu_percent:.1f}"
-        memory = "-" if console is None else f"{console.memory_mb:.0f}"
-        pace = f"{one.pictures_per_s:.1f} / {one.slowest_page_per_s:.1f}" if one.viewers else "-"
-        return [str(one.viewers), f"{one.captured_per_s:.2f}", pace, late, latest, own, memory, f"{others:.1f}"]
+        console = one.processes.get("console")
+        own, memory = ("-", "-") if console is None else (f"{console.cpu_percent:.1f}", f"{console.memory_mb:.0f}")
+        mean, slowest = (f"{one.pictures_per_s:.1f}", f"{one.slowest_page_per_s:.1f}") if one.viewers else ("-", "-")
+        rate = f"{one.captured_per_s:.2f}"
+        return [str(one.viewers), rate, mean, slowest, late, latest, own, memory, f"{others:.1f}"]
 
-    heads = ("viewers", "captured/s", "pictures/s mean / slowest page", "p50 ms", "p99 ms")
     print_table(
         Console(highlight=False),
-        f"console: {args.size} at {args.fps:g}/s, {args.seconds:g} s each; capture to decoded at the page",
-        (*heads, "console CPU %", "console MB", "other services CPU %"),
+        f"Console, {args.size} at {args.fps:g}/s, {args.seconds:g} s each\n"
+        "ms: capture to decoded at the page; CPU: % of a core, of the console and of the others",
+        ("pages", "captured/s", "shown/s", "slowest", "p50 ms", "p99 ms", "CPU", "MB", "others"),
         [row(one) for one in rows],
     )
     wrong = sum(one.wrong_pixels for one in rows)
