@@ -1,4 +1,7 @@
-"""``python -m tests.browser.screenshots``: the pictures in docs/images/console, from a real stack and browser."""
+"""``python -m tests.browser.screenshots [VIEW ...]``: the pictures in docs/images/console, by a real browser.
+
+With names of views only theirs are taken anew.
+"""
 
 from __future__ import annotations
 
@@ -53,7 +56,8 @@ def main() -> int:
 
 def take_all(site: Site) -> None:
     """Each view in both themes and on the tablet, and the states that the guide shows."""
-    for view, ready in READY.items():
+    wanted = sys.argv[1:] or list(READY)
+    for view, ready in ((view, READY[view]) for view in wanted):
         for name, size, theme in (("light", DESKTOP, "light"), ("dark", DESKTOP, "dark"), ("tablet", TABLET, "light")):
             page = site.open(view, size=size, theme=theme)
             page.page.wait_for_selector(ready)
@@ -63,6 +67,8 @@ def take_all(site: Site) -> None:
                 settled(page)
             save(page, f"{view}-{name}")
             site.close_pages()
+    if sys.argv[1:]:
+        return
     opened(site)
     split(site)
     recording(site)
@@ -73,9 +79,8 @@ def settled(page: PageUnderTest) -> None:
     page.wait("document.querySelector('.last img')?.naturalWidth > 0")
     page.wait("/[1-9].*s/.test(document.querySelector('.bigpicture .caption-line span:nth-of-type(3)').textContent)")
     page.wait("document.querySelector('[data-view=small-cam1]')?.dataset.frame")
-    page.wait(
-        "document.querySelector('[data-view=big-cam0-rgb]').label?.objects?.length && !document.querySelector('.trouble')"
-    )
+    page.wait("document.querySelector('[data-view=big-cam0-rgb]').label?.objects?.length")
+    page.page.wait_for_selector(".trouble", state="detached")
 
 
 def opened(site: Site) -> None:
