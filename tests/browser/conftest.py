@@ -29,6 +29,7 @@ cameras:
 """
 
 
+@pytest.hookimpl(tryfirst=True)  # before xdist, which sorts by the marks
 def pytest_collection_modifyitems(items: list[pytest.Item]) -> None:
     """All on one worker, so that there is one stack."""
     for item in items:
