@@ -44,6 +44,7 @@ def calibrate(rig: Path, *words: str) -> tuple[int, dict[str, Any]]:
     return done.returncode, json.loads(done.stdout)
 
 
+@pytest.mark.long
 def test_it_reaches_good_by_itself_through_the_stack_and_capture_then_uses_it(rig: Path, stack: Stack) -> None:
     stack.start_service("control", rig)
     capture = stack.start_service("capture", rig, "--camera", "cam0")

@@ -52,6 +52,7 @@ class HangingCamera:
 """
 
 
+@pytest.mark.long
 def test_its_process_ends_itself_and_the_supervisor_starts_it_anew(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:

@@ -105,6 +105,7 @@ def test_a_recording_goes_on_through_the_death_of_every_process(tmp_path: Path, 
     assert set(acknowledged["samples"]) <= set(SessionReader(session).samples())
 
 
+@pytest.mark.long
 def test_what_label_was_asked_for_before_its_death_is_neither_forgotten_nor_done_twice(tmp_path: Path) -> None:
     rig = tmp_path / "rig.yaml"
     rig.write_text(RIG)

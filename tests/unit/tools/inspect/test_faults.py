@@ -51,6 +51,7 @@ def test_twenty_faults_in_449_samples_are_among_the_first_thirty(
     assert {name: fault for name, fault in planted.items() if name not in first} == {}
 
 
+@pytest.mark.long
 def test_with_the_originals_a_moved_label_and_another_picture_are_told_apart(
     tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
