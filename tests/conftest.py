@@ -65,6 +65,21 @@ def start_service(stack: Stack) -> Callable[..., ServiceProcess]:
     return stack.start_service
 
 
+@pytest.hookimpl(optionalhook=True)
+def pytest_xdist_make_scheduler(config: pytest.Config, log: Any) -> Any:
+    """All browser tests on one worker, since they share a stack; any other test wherever there is room.
+
+    xdist's own `--dist loadgroup` has no effect with pytest 9.2, which doesn't let it rename tests.
+    """
+    from xdist.scheduler import LoadScopeScheduling
+
+    class BrowserTogether(LoadScopeScheduling):
+        def _split_scope(self, nodeid: str) -> str:
+            return "tests/browser" if nodeid.startswith("tests/browser/") else nodeid
+
+    return BrowserTogether(config, log)
+
+
 @pytest.hookimpl(wrapper=True)
 def pytest_runtest_makereport(item: pytest.Item, call: pytest.CallInfo[None]) -> Any:
     """Let fixtures see whether their test failed."""

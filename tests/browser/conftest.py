@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from collections.abc import Iterator
-from pathlib import Path
 
 import pytest
 
@@ -27,15 +26,6 @@ record: {incomplete: keep}
 cameras:
   cam0: {driver: synthetic, width: 640, height: 360, fps: 8, depth: true, seed: 3, prerendered: 24}
 """
-
-
-@pytest.hookimpl(tryfirst=True)  # before xdist, which sorts by the marks
-def pytest_collection_modifyitems(items: list[pytest.Item]) -> None:
-    """All on one worker, so that there is one stack."""
-    for item in items:
-        if Path(__file__).parent in item.path.parents:
-            item.add_marker(pytest.mark.xdist_group("browser"))
-            item.add_marker(pytest.mark.process)
 
 
 @pytest.fixture(scope="package")

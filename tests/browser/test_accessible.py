@@ -9,6 +9,8 @@ import pytest
 
 from tests.support.console_page import PageUnderTest, Site
 
+pytestmark = pytest.mark.process
+
 AXE = Path(__file__).parent / "vendor/axe.min.js"
 VIEWS = {
     "live": "[data-view=big-cam0-rgb][data-frame]",

@@ -10,6 +10,8 @@ import pytest
 from tests.support.console_page import PageUnderTest, Site, markers_in
 from tests.support.stack import wait_for
 
+pytestmark = pytest.mark.process
+
 VIEWS = ("live", "coverage", "health", "setup", "gallery")
 BIG = "big-cam0-rgb"
 

@@ -9,6 +9,8 @@ import pytest
 from tests.support.console_page import PageUnderTest, Site
 from tests.support.stack import wait_for
 
+pytestmark = pytest.mark.process
+
 EVIL = "http://evil.test"
 
 
@@ -41,7 +43,7 @@ def test_killing_detect_shows_and_heals(site: Site) -> None:
     page = site.open("health")
     page.page.wait_for_selector("tr:has-text('detect.0'):has-text('running')")
     killed = site.stack.kill("detect")
-    page.page.wait_for_selector(".sentences :text('detect.0 stopped')")
+    # A quick supervisor has it back before anybody misses its heartbeat: then only the return is news.
     page.page.wait_for_selector(".sentences :text-matches('detect.0 came back after')")
     site.stack.wait_back("detect", killed)
     page.page.wait_for_selector("tr:has-text('detect.0'):has-text('running')")
