@@ -36,7 +36,7 @@ def faults(page: PageUnderTest) -> list[dict[str, Any]]:
     ]
 
 
-@pytest.mark.parametrize("theme", ["light", "dark"])
+@pytest.mark.parametrize("theme", ["light", pytest.param("dark", marks=pytest.mark.long)])
 @pytest.mark.parametrize("view", VIEWS)
 def test_no_view_has_a_serious_fault(site: Site, view: str, theme: str) -> None:
     page = site.open(view, theme=theme)

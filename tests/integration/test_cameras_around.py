@@ -13,7 +13,7 @@ from common.config.models import NetworkConfig
 from common.dataset import SessionReader
 from common.topics import LABELS
 from tests.support.stack import ROOT, Listener, wait_for, write_rig
-from tests.support.supervised import DEADLINE_S, OBJECT, SupervisedStack, check_session, run_module, supervised
+from tests.support.supervised import DEADLINE_S, NO_PAGE, SupervisedStack, check_session, run_module, supervised
 from tests.support.unpluggable import install
 from tools.stack.programs import SOCKET_FILE
 
@@ -51,7 +51,7 @@ def wait_phase(stack: SupervisedStack, camera: str, phase: str) -> dict[str, Any
 
 
 def test_a_camera_that_drops_off_during_a_recording_leaves_a_gap_and_nothing_else(tmp_path: Path) -> None:
-    rig = write_rig(tmp_path, RIG + OBJECT)
+    rig = write_rig(tmp_path, RIG + NO_PAGE)
     cable = tmp_path / "unplugged"
     path = f"{install(tmp_path / 'third-party')}:{ROOT}"
     with supervised(rig, "cam0", "cam1", PYTHONPATH=path) as stack:
@@ -100,8 +100,9 @@ def restart(program: str, stack: SupervisedStack) -> None:
     stack.wait_back(program, pid)
 
 
+@pytest.mark.long
 def test_another_rate_or_size_takes_a_restart_of_that_capture_process_only(tmp_path: Path) -> None:
-    text = RIG.replace("unpluggable", "synthetic") + OBJECT
+    text = RIG.replace("unpluggable", "synthetic") + NO_PAGE
     rig = write_rig(tmp_path, text)
     with supervised(rig, "cam0", "cam1") as stack:
         recording = stack.ask(command="start", camera="cam0")["recording"]
@@ -147,7 +148,7 @@ cameras:
 
 
 def test_record_on_all_cameras_takes_the_frames_nearest_in_time_and_says_how_near(tmp_path: Path) -> None:
-    rig = write_rig(tmp_path, TWO + OBJECT)
+    rig = write_rig(tmp_path, TWO + NO_PAGE)
     with supervised(rig, "cam0", "cam1") as stack:
         shares = stack.status()["shares"]["label"]
         assert len(set(shares.values())) == 2, "each camera has a label process of its own"

@@ -17,7 +17,7 @@ from common.config.models import NetworkConfig
 from common.errors import EXIT_NAME_TAKEN
 from tests.support.hygiene import Place, processes_of
 from tests.support.stack import wait_for
-from tests.support.supervised import DEADLINE_S, OBJECT, failed, logs
+from tests.support.supervised import DEADLINE_S, NO_PAGE, failed, logs
 from tools.cli import EXIT_INTERRUPTED
 from tools.stack.down import stop
 from tools.stack.programs import LOG_FOLDER, SOCKET_FILE
@@ -28,7 +28,7 @@ pytestmark = [pytest.mark.process, pytest.mark.timeout(300)]
 
 RIG = f"""\
 dataset: {{root: ./dataset, session: ctrl-c}}
-{OBJECT}
+{NO_PAGE}
 cameras:
   cam0: {{driver: synthetic, width: 320, height: 240, fps: 10, prerendered: 4}}
 ring: {{slots: 6, samples: 4}}

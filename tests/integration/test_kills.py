@@ -15,14 +15,14 @@ from common.dataset import SessionReader, read_session
 from common.frames import sweep
 from common.ledgers import CameraLedger
 from tests.support.hygiene import Place
-from tests.support.supervised import DEADLINE_S, OBJECT, SupervisedStack, check_session, supervised, wait_for_samples
+from tests.support.supervised import DEADLINE_S, NO_PAGE, SupervisedStack, check_session, supervised, wait_for_samples
 
 pytestmark = [pytest.mark.process, pytest.mark.timeout(400)]
 
 SEED = 20260830
 RIG = f"""\
 dataset: {{root: ./dataset, session: kills}}
-{OBJECT}
+{NO_PAGE}
 cameras:
   cam0: {{driver: synthetic, width: 640, height: 360, fps: 10, prerendered: 8}}
 ring: {{slots: 12, samples: 16}}

@@ -20,7 +20,7 @@ from common.errors import TagmillError
 from common.topics import CAMERA
 from common.words import words_for
 from tests.support.stack import wait_for
-from tests.support.supervised import DEADLINE_S, OBJECT, SupervisedStack, check_session, supervised
+from tests.support.supervised import DEADLINE_S, NO_PAGE, SupervisedStack, check_session, supervised
 from tools.bench.load_counter import CameraLoad, LoadCounter
 
 pytestmark = [pytest.mark.process, pytest.mark.timeout(400)]
@@ -71,7 +71,7 @@ def write_rig(folder: Path, size: tuple[int, int], fps: int) -> Path:
     path = folder / "rig.yaml"
     # Two seconds of pictures: a frame that waits for two slow labels before it is taken must still be there.
     ring = f"ring: {{slots: {2 * fps}}}"
-    path.write_text(f"dataset: {{root: ./dataset, session: stalls}}\n{OBJECT}\n{ring}\ncameras:\n{cameras}\n")
+    path.write_text(f"dataset: {{root: ./dataset, session: stalls}}\n{NO_PAGE}\n{ring}\ncameras:\n{cameras}\n")
     return path
 
 

@@ -33,6 +33,7 @@ objects:
   - name: tag-4
     size_mm: {{width: 200, height: 200, depth: 1}}
     sides: {{front: {{marker: 4, marker_size_mm: 165.1, border_mm: 15}}}}
+network: {{console: null}}
 cameras:
   cam0: {{driver: files, path: {video}, pace: consumer, calibration: camera.yaml}}
 """
@@ -134,7 +135,14 @@ PHOTOS = {
 """Pictures by the beginnings of their names, the family of their markers, the markers' size."""
 
 
-@pytest.mark.parametrize("what", sorted(PHOTOS))
+@pytest.mark.parametrize(
+    "what",
+    [
+        "duckietown",
+        "predefined",
+        *(pytest.param(name, marks=pytest.mark.long) for name in ("ubiquity", "dictionary file")),
+    ],
+)
 def test_every_true_id_of_the_photos_is_labelled_or_listed_with_a_reason(
     what: str, testdata: Find, tmp_path: Path
 ) -> None:
@@ -157,6 +165,7 @@ def test_every_true_id_of_the_photos_is_labelled_or_listed_with_a_reason(
                 "dataset": {"root": "./dataset", "session": "photos"},
                 "markers": {"family": str(testdata(family)) if "/" in family else family},
                 "pose": {"ambiguous": "keep"},
+                "network": {"console": None},
                 "objects": [
                     {
                         "name": f"marker-{number}",

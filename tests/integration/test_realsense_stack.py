@@ -20,7 +20,7 @@ from services.capture.cameras.realsense_geometry import camera_model
 from tests.support.hygiene import Place
 from tests.support.realsense_recordings import Build, Lens, record
 from tests.support.stack import wait_for
-from tests.support.supervised import DEADLINE_S, OBJECT, check_session, supervised
+from tests.support.supervised import DEADLINE_S, NO_PAGE, check_session, supervised
 from tools.report.compare import compare
 
 pytestmark = [pytest.mark.process, pytest.mark.timeout(300)]
@@ -41,7 +41,7 @@ BUILD = Build(
 )
 RIG = f"""\
 dataset: {{root: ./dataset, session: realsense}}
-{OBJECT}
+{NO_PAGE}
 cameras:
   cam0: {{driver: realsense, recording: scene.db3, pace: consumer}}
 """

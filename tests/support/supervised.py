@@ -41,6 +41,9 @@ record: {incomplete: keep}
 """
 """A box that any frame of the synthetic camera can be recorded of."""
 
+NO_PAGE = OBJECT + "network: {console: null}\n"
+"""The same without the operator's page: one process less to start and to end."""
+
 SERVICES = {"control": "control", "store": "store", "label": "label.0", "detect": "detect.0"}
 
 

@@ -20,6 +20,7 @@ def document(tmp_path_factory):
     return json.loads((out / "inpaint.json").read_text()) | {"sheet": cv2.imread(str(out / "inpaint.png"))}
 
 
+@pytest.mark.long
 def test_no_marker_pixel_lies_outside_of_the_mask(document):
     assert document["frames"] == {"plain": 3, "covered": 1, "blurred": 1, "outside": 1}
     assert document["visible_markers_undetected"] >= 2  # the covered one, the blurred one
@@ -27,11 +28,13 @@ def test_no_marker_pixel_lies_outside_of_the_mask(document):
     assert document["marker_pixels_outside_mask"] == 0
 
 
+@pytest.mark.long
 def test_no_detector_finds_an_erased_marker(document):
     assert min(document["found_before"].values()) > 10
     assert [sum(row["found"].values()) for row in document["methods"]] == [0] * len(METHODS)
 
 
+@pytest.mark.long
 def test_the_default_is_nearer_to_the_truth_than_the_rest(document):
     by_method = {row["method"]: row for row in document["methods"]}
     for rival in ("telea", "ns"):
@@ -40,6 +43,7 @@ def test_the_default_is_nearer_to_the_truth_than_the_rest(document):
     assert by_method["plane"]["grain"] == pytest.approx(1.0, abs=0.15)
 
 
+@pytest.mark.long
 def test_the_sheet_shows_every_method(document):
     assert document["sheet"].shape[1] > 200 * (len(METHODS) + 2)
 
