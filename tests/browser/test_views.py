@@ -3,7 +3,9 @@
 from __future__ import annotations
 
 import re
+import time
 
+import psutil
 import pytest
 
 from tests.support.console_page import PageUnderTest, Site
@@ -12,6 +14,7 @@ from tests.support.stack import wait_for
 pytestmark = pytest.mark.process
 
 EVIL = "http://evil.test"
+QUIET_S = 25.0
 
 
 def record(site: Site, count: int) -> list[str]:
@@ -42,6 +45,9 @@ def test_coverage_grows_with_what_is_recorded(site: Site) -> None:
 def test_killing_detect_shows_and_heals(site: Site) -> None:
     page = site.open("health")
     page.page.wait_for_selector("tr:has-text('detect.0'):has-text('running')")
+    # The console says nothing of what dies in its first 10 seconds, in which a stack comes up.
+    started = psutil.Process(site.stack.pids()["console"]).create_time()
+    wait_for(lambda: time.time() - started > QUIET_S, why="the console to have run for a while")
     killed = site.stack.kill("detect")
     # A quick supervisor has it back before anybody misses its heartbeat: then only the return is news.
     page.page.wait_for_selector(".sentences :text-matches('detect.0 came back after')")
