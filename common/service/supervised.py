@@ -40,4 +40,5 @@ def stop_was_asked() -> bool:
                 answer += part
         except OSError:  # no supervisor there, or it is slow: its signal may still come
             return False
-    return b"<string>STOPPING</string>" in answer
+    # While it shuts down as a whole, it answers nothing but that.
+    return b"<string>STOPPING</string>" in answer or b"SHUTDOWN_STATE" in answer

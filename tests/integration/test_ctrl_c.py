@@ -152,7 +152,8 @@ def test_a_signal_ends_everything(moment: Callable[[Up], None], number: signal.S
     moment(up)
     code = up.end(number)
     expected = {0} if moment in LATE else {0, EXIT_INTERRUPTED, -number}
-    assert code in expected, up.said()
+    cut_at_its_birth = moment is at_once and "Fatal Python error: init" in up.said()  # not a line of ours ran yet
+    assert code in expected or cut_at_its_birth, up.said()
     assert processes_of(place.prefix) == {}
     if moment is when_ready:
         assert up.left() == []

@@ -15,6 +15,9 @@ from tools.stack.programs import PID_FILE, SOCKET_FILE
 
 _PID = re.compile(r"\(pid (\d+)\)$")
 
+_NOTES = "*.life"
+"""What capture processes leave for the next one, should they die: there is no next one."""
+
 
 def living(endpoints: Endpoints) -> tuple[str, ...]:
     """Who holds a name or a socket of this stack right now, e.g. ``control (pid 4711)``."""
@@ -85,6 +88,8 @@ def _clear_supervisor(folder: Path) -> list[str]:
             cleared.append(left.name)
     # No remains of a crash, so nothing to tell: the session that was chosen for the stack's life, which is over.
     (folder / CHOICE_FILE).unlink(missing_ok=True)
+    for note in folder.glob(_NOTES):
+        note.unlink(missing_ok=True)
     return cleared
 
 
