@@ -31,7 +31,7 @@ run: $(STAMP) ## start the stack with the rig of RIG=... (default: the synthetic
 	$(BIN)/tagmill up --rig $(or $(RIG),deploy/examples/synthetic.yaml)
 
 test: $(STAMP) ## everything but the long runs (under 10 minutes on 2 cores)
-	$(BIN)/python -m pytest -m 'not long' -n 2
+	$(BIN)/python -m pytest -m 'not long' -n 3
 
 test-long: $(STAMP) $(OTHER_STAMP) ## the long runs, and all others on OpenCV 5
 	$(BIN)/python -m pytest -m long
