@@ -77,7 +77,7 @@ def test_a_camera_that_drops_off_during_a_recording_leaves_a_gap_and_nothing_els
     assert gap["from"] < gap["to"]
     assert not other["gaps"]
     for one in (away, other):
-        assert one["dropped"] == {}
+        assert set(one["dropped"]) <= {"detect", "label"}, "a busy machine may pass frames over; the camera loses none"
         assert one["captured"] == one["recorded"] + sum(one["refused"].values())
     session = tmp_path / "dataset" / "test"
     check_session(session)
