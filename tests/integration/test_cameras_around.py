@@ -51,7 +51,8 @@ def wait_phase(stack: SupervisedStack, camera: str, phase: str) -> dict[str, Any
 
 
 def test_a_camera_that_drops_off_during_a_recording_leaves_a_gap_and_nothing_else(tmp_path: Path) -> None:
-    rig = write_rig(tmp_path, RIG + NO_PAGE)
+    slow = RIG.replace("fps: 6", "fps: 3").replace("fps: 5", "fps: 2")  # a busy machine must not pass a frame over
+    rig = write_rig(tmp_path, slow + NO_PAGE)
     cable = tmp_path / "unplugged"
     path = f"{install(tmp_path / 'third-party')}:{ROOT}"
     with supervised(rig, "cam0", "cam1", PYTHONPATH=path) as stack:
@@ -77,7 +78,7 @@ def test_a_camera_that_drops_off_during_a_recording_leaves_a_gap_and_nothing_els
     assert gap["from"] < gap["to"]
     assert not other["gaps"]
     for one in (away, other):
-        assert set(one["dropped"]) <= {"detect", "label"}, "a busy machine may pass frames over; the camera loses none"
+        assert one["dropped"] == {}
         assert one["captured"] == one["recorded"] + sum(one["refused"].values())
     session = tmp_path / "dataset" / "test"
     check_session(session)
