@@ -6,7 +6,6 @@ All three come down to picture size, camera matrix and distortion; ``read_calibr
 from __future__ import annotations
 
 import json
-import os
 from collections.abc import Mapping
 from pathlib import Path
 from typing import Any, Literal
@@ -18,6 +17,7 @@ from common.config.foreign import read_foreign
 from common.config.problems import FieldPath, Problems, suggestion
 from common.config.schema import shown
 from common.config.tree import Tree, parse_tree, read_text
+from common.config.whole_file import write_whole
 from common.errors import ConfigError
 from common.labels import CameraLabel
 
@@ -91,16 +91,7 @@ def write_calibration(path: Path, camera: CameraLabel, quality: Mapping[str, Any
     if quality:
         own = {"quality": dict(quality)}
         text += yaml.safe_dump(own, sort_keys=False, default_flow_style=None, width=110, allow_unicode=True)
-    temporary = path.with_name(f".{path.name}.{os.getpid()}.tmp")
-    try:
-        with temporary.open("w", encoding="utf-8") as file:
-            file.write(text)
-            file.flush()
-            os.fsync(file.fileno())
-        temporary.replace(path)
-    except OSError as error:
-        temporary.unlink(missing_ok=True)
-        raise ConfigError(f"{path} can't be written: {error.strerror}; choose another place") from error
+    write_whole(path, text, "choose another place")
 
 
 class _Calibration:

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import os
 from collections.abc import Mapping
 from pathlib import Path
 from typing import Annotated
@@ -14,6 +13,7 @@ from common.config.problems import Problems
 from common.config.schema import read_model
 from common.config.section import Section
 from common.config.tree import read_tree
+from common.config.whole_file import write_whole
 from common.errors import ConfigError
 
 WHAT = "extrinsics file"
@@ -63,14 +63,9 @@ def write_extrinsics(path: Path, cameras: Mapping[str, Extrinsics]) -> None:
     """Write the file, whole or not at all. Raises ConfigError."""
     document = {name: one.model_dump(mode="json") for name, one in cameras.items()}
     text = _HEAD + yaml.safe_dump(document, sort_keys=False, default_flow_style=None, width=110)
-    temporary = path.with_name(f".{path.name}.{os.getpid()}.tmp")
+    cure = "choose another place with --out"
     try:
         path.parent.mkdir(parents=True, exist_ok=True)
-        with temporary.open("w", encoding="utf-8") as file:
-            file.write(text)
-            file.flush()
-            os.fsync(file.fileno())
-        temporary.replace(path)
     except OSError as error:
-        temporary.unlink(missing_ok=True)
-        raise ConfigError(f"{path} can't be written: {error.strerror}; choose another place with --out") from error
+        raise ConfigError(f"{path} can't be written: {error.strerror}; {cure}") from error
+    write_whole(path, text, cure)

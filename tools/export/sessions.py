@@ -8,8 +8,8 @@ from typing import Any
 
 from common.config.differences import differences
 from common.dataset import SESSION_FILE, SessionFile, SessionReader
+from common.dataset.boxes import boxes_of
 from common.errors import DatasetError, RefusedError
-from common.geometry import Box, BoxSide
 from tools.export.model import Source
 
 
@@ -33,7 +33,7 @@ def read_sources(folders: Sequence[Path]) -> list[Source]:
     _agree(files)
     sources: list[Source] = []
     for folder, file in files:
-        reader, boxes = SessionReader(folder), boxes_of(file, folder)
+        reader, boxes = SessionReader(folder), {box.name: box for box in boxes_of(file, folder)}
         for sample in reader.samples():
             label = reader.label(sample)
             if label.files is None:
@@ -50,21 +50,6 @@ def read_sources(folders: Sequence[Path]) -> list[Source]:
             f"there is no sample in {', '.join(str(folder) for folder in folders)}; record some first", code="no_sample"
         )
     return sources
-
-
-def boxes_of(file: SessionFile, folder: Path) -> dict[str, Box]:
-    """The rig's objects by name, without markers; raises DatasetError if session.json describes one badly."""
-    plain: Mapping[str, Any] = file.rig.get("objects") or {}
-    found: dict[str, Box] = {}
-    for name, about in plain.items():
-        try:
-            size = about["size_mm"]
-            sides = tuple(BoxSide(str(side), row["face"], ()) for side, row in about["sides"].items())
-            numbers = (float(size["width"]), float(size["height"]), float(size["depth"]))
-            found[name] = Box(name, str(about["type"]), numbers, sides)
-        except (KeyError, TypeError, ValueError, AttributeError) as error:
-            raise DatasetError(f"{folder / SESSION_FILE}: the object {name} is described badly: {error!r}") from error
-    return found
 
 
 def _agree(files: Sequence[tuple[Path, SessionFile]]) -> None:

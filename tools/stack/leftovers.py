@@ -10,13 +10,11 @@ import psutil
 
 from common.bus import LOCK_SUFFIX, Endpoints, clear_dead, holder_of
 from common.frames import sweep
+from services.capture.last_life import SUFFIX as NOTE_SUFFIX
 from services.store.choice import CHOICE_FILE
 from tools.stack.programs import PID_FILE, SOCKET_FILE
 
 _PID = re.compile(r"\(pid (\d+)\)$")
-
-_NOTES = "*.life"
-"""What capture processes leave for the next one, should they die: there is no next one."""
 
 
 def living(endpoints: Endpoints) -> tuple[str, ...]:
@@ -88,7 +86,8 @@ def _clear_supervisor(folder: Path) -> list[str]:
             cleared.append(left.name)
     # No remains of a crash, so nothing to tell: the session that was chosen for the stack's life, which is over.
     (folder / CHOICE_FILE).unlink(missing_ok=True)
-    for note in folder.glob(_NOTES):
+    # What capture processes leave for the next one, should they die: there is no next one.
+    for note in folder.glob(f"*{NOTE_SUFFIX}"):
         note.unlink(missing_ok=True)
     return cleared
 
