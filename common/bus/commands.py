@@ -127,10 +127,14 @@ class CommandServer:
 
 
 class CommandClient:
-    """Asks the command socket. One a thread; a late answer to an earlier request is never taken for another's."""
+    """Asks the command socket. One a thread; a late answer to an earlier request is never taken for another's.
+
+    ``run_dir``: the stack's run folder on this machine, None where only an address was given.
+    """
 
     def __init__(self, endpoints: Endpoints | str, timeout_s: float = 5.0, keys_dir: Path | None = None) -> None:
         self._address = endpoints if isinstance(endpoints, str) else endpoints.command
+        self.run_dir = None if isinstance(endpoints, str) else endpoints.run_dir
         if not self._address.startswith("ipc://"):
             check_tcp(self._address)
         self._timeout_s = timeout_s

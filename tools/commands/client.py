@@ -16,11 +16,13 @@ from common.bus import CommandClient, Endpoints
 from common.config.models import NetworkConfig
 from common.errors import EXIT_BAD_CONFIG, EXIT_OK, EXIT_REFUSED, ConfigError, NoAnswerError, TagmillError
 from tools.cli import show_error
+from tools.stack.silence import why_silent
 
 ANSWER_S = 5.0
 """For commands that control answers without asking anybody."""
 AFTER_S = 5.0
 """Control gives an answer at the command's own limit and a little later; the client waits so much longer."""
+NOT_UP = "is the stack up? start it with 'tagmill up --rig rig.yaml'"
 
 
 @contextmanager
@@ -59,10 +61,14 @@ def ask(client: CommandClient, request: dict[str, Any], timeout_s: float = ANSWE
     try:
         return client.request(present, timeout_s)
     except NoAnswerError as error:
-        address = client.address
-        raise NoAnswerError(
-            f"no tagmill answers at {address}: is the stack up? start it with 'tagmill up --rig rig.yaml'"
-        ) from error
+        raise NoAnswerError(f"no tagmill answers at {client.address}: {_cure(client)}") from error
+
+
+def _cure(client: CommandClient) -> str:
+    """What keeps control from answering, as far as its supervisor and its log tell."""
+    if client.run_dir is None:
+        return NOT_UP
+    return why_silent(client.run_dir) or NOT_UP
 
 
 def finish(args: argparse.Namespace, answer: dict[str, Any]) -> int:

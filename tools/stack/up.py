@@ -16,6 +16,7 @@ from common.errors import EXIT_OK, ConfigError, NameTakenError, TagmillError
 from tools.check import chosen_rig, show_mistakes
 from tools.stack.console import console_place, no_console
 from tools.stack.leftovers import clear, living
+from tools.stack.ports import refuse_taken
 from tools.stack.programs import CAMERAS_FOLDER, CONFIG_FILE, LOG_FOLDER, SOCKET_FILE, supervisor_config
 from tools.stack.supervisor import Supervisor, SupervisorError
 
@@ -41,6 +42,7 @@ def run(args: argparse.Namespace) -> int:
     endpoints = Endpoints.of(rig.config.network)
     endpoints.prepare()
     refuse_second(endpoints)
+    refuse_taken(rig.config.network, endpoints, console=no_console(rig.config.network) is None)
     cleared = clear(endpoints)
     config = write_config(rig, endpoints, new_session=args.new_session)
     _tell(rig, endpoints, cleared, as_json=args.json)
