@@ -7,22 +7,19 @@ from __future__ import annotations
 
 from typing import Annotated, Literal
 
-from pydantic import BaseModel, ConfigDict, Field
+from pydantic import Field
+
+from common.evidence import MadeFrom
+from common.parts import Matrix3 as Matrix3
+from common.parts import Part as Part
+from common.parts import Point as Point
+from common.parts import Quad as Quad
+from common.parts import Row4 as Row4
+from common.parts import Vector3 as Vector3
 
 LABEL_SCHEMA: Literal["tagmill.label/1"] = "tagmill.label/1"
 
-Point = tuple[float, float]
-Vector3 = tuple[float, float, float]
-Row4 = tuple[float, float, float, float]
-Quad = tuple[Point, Point, Point, Point]
-Matrix3 = tuple[Vector3, Vector3, Vector3]
 FaceName = Literal["front", "back", "left", "right", "top", "bottom"]
-
-
-class Part(BaseModel):
-    """A frozen part of a label; unknown fields are refused."""
-
-    model_config = ConfigDict(frozen=True, extra="forbid", populate_by_name=True)
 
 
 class Window(Part):
@@ -233,7 +230,10 @@ class PairLabel(Part):
 
 
 class Label(Part):
-    """The label file (``label_<sample>.json``); on its way to the store ``files`` is still None."""
+    """The label file (``label_<sample>.json``); on its way to the store ``files`` is still None.
+
+    ``made_from``: what the exact labels were made from, where the original is kept with it: `tagmill relabel`.
+    """
 
     schema_: Annotated[Literal["tagmill.label/1"], Field(alias="schema")] = LABEL_SCHEMA
     sample: str
@@ -256,5 +256,6 @@ class Label(Part):
     complete: bool = True
     missing: tuple[Missing, ...] = ()
     pair: PairLabel | None = None
+    made_from: MadeFrom | None = None
     files: SampleFiles | None = None
     versions: dict[str, str]

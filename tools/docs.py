@@ -88,6 +88,7 @@ def _type_name(annotation: object) -> str:
         "common.messages.samples.",
         "common.messages.state.",
         "common.labels.",
+        "common.evidence.",
     ):
         text = text.replace(module, "")
     return text

@@ -2,22 +2,12 @@
 
 from __future__ import annotations
 
-from common.labels import DetectedWindow, LeftOut, Missing, ObjectLabel, Part, Quad
+from common.evidence import DetectedMarker as DetectedMarker
+from common.labels import DetectedWindow, LeftOut, Missing, ObjectLabel
 from common.messages.base import Message
 from common.messages.frames import FrameRef
 
 MARKERS = "markers"
-
-
-class DetectedMarker(Part):
-    """A marker: id and corners TL TR BR BL in the marker's own frame, px, integer = pixel centre.
-
-    ``kind`` says how the corners were found: ``contour``, ``subpix``, ``edges``, ``apriltag``, ``photometric``.
-    """
-
-    id: int
-    corners: Quad
-    kind: str
 
 
 class Detections(Message):

@@ -13,16 +13,13 @@ import cv2
 
 from common.config import Rig
 from common.frames import SampleSlots
-from common.geometry import CameraModel
-from common.labels import CameraLabel, Erased, LeftOut, Missing, ObjectLabel
+from common.labels import CameraLabel
 from common.log import get
+from common.markers import family
 from common.messages import DetectedMarker
 from common.service.crew import Crew, Failure
-from services.label.covering import covering
-from services.label.inpaint import erase
-from services.label.labelling import Around, Labeller
-from services.label.occlusion import DepthPicture
-from services.label.regions import regions_on_sides
+from services.label.exact import ExactLabels, Finished, Options
+from services.label.labelling import Around
 
 _NICE = 10
 _LIMIT_S = 30.0
@@ -40,18 +37,6 @@ class Job:
     markers: tuple[DetectedMarker, ...]
     around: Around
     depth_unit_mm: float | None = None
-
-
-@dataclass(frozen=True)
-class Finished:
-    """What became of a job: the exact labels, what was erased, and what the rig says is to be kept nevertheless."""
-
-    objects: tuple[ObjectLabel, ...]
-    left_out: tuple[LeftOut, ...]
-    missing: tuple[Missing, ...]
-    inpainted: Erased
-    keep_ambiguous: bool
-    keep_incomplete: bool
 
 
 class Finisher:
@@ -114,11 +99,12 @@ class Finisher:
 
 
 class _Worker:
-    """State of a worker process: the labeller and the rings it has mapped."""
+    """State of a worker process: how it labels, and the rings it has mapped."""
 
     def __init__(self, rig: Rig) -> None:
-        self.rig = rig
-        self.labeller = Labeller.of(rig)
+        config = rig.config
+        options = Options(config.pose, config.inpaint, config.record)
+        self.exact = ExactLabels(rig.boxes, family(config.markers.family, rig.folder), options)
         self.rings: dict[str, SampleSlots] = {}
 
     def slots(self, ring: str) -> SampleSlots:
@@ -143,25 +129,5 @@ def _prepare(rig: Rig) -> None:
 
 def _finish(job: Job) -> Finished:
     assert _worker is not None
-    options = _worker.rig.config.inpaint
-    camera = CameraModel.from_label(job.camera)
     pixels = _worker.slots(job.ring).view(job.slot)
-    bgr = pixels.bgr
-    depth = None
-    if pixels.depth is not None and job.depth_unit_mm is not None:
-        depth = DepthPicture(pixels.depth, job.depth_unit_mm)
-    labelled = _worker.labeller.label_once(job.markers, camera, bgr, job.around, depth)
-    boxes = _worker.labeller.boxes
-    found = regions_on_sides(labelled.objects, labelled.left_out, boxes, camera, margin=options.margin)
-    covered = None if depth is None else covering(found, depth)
-    erase(bgr, found, method=options.method, radius_px=options.radius_px, covered=covered)
-    polygons = tuple(region.polygon for region in found)
-    erased = Erased(method=options.method, margin=f"{options.margin:g} of the marker, at least 3 px", polygons=polygons)
-    return Finished(
-        objects=labelled.objects,
-        left_out=labelled.left_out,
-        missing=labelled.missing,
-        inpainted=erased,
-        keep_ambiguous=_worker.rig.config.pose.ambiguous == "keep",
-        keep_incomplete=_worker.rig.config.record.incomplete == "keep",
-    )
+    return _worker.exact.finish(pixels.bgr, pixels.depth, job.depth_unit_mm, job.camera, job.markers, job.around)

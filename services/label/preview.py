@@ -16,7 +16,8 @@ from common.frames import FrameWriter, SampleRing, segment_name
 from common.log import get
 from common.messages import Detections, FrameRef, Preview
 from services.label.cameras import Camera
-from services.label.finish import Finished, Finisher, Job
+from services.label.exact import Finished
+from services.label.finish import Finisher, Job
 from services.label.labelling import Around
 
 LEASE_NS = 5_000_000_000

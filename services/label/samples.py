@@ -9,18 +9,19 @@ from __future__ import annotations
 from collections.abc import Callable, Container, Iterable, Iterator
 from dataclasses import dataclass
 
-import cv2
 import numpy as np
 
-from common import VERSION, clock, ids
+from common import clock, ids
 from common.bus import OrderClient
 from common.errors import NoSpaceError, RefusedError, TagmillError
 from common.frames import FrameView, SampleRing, segment_name
 from common.labels import CameraLabel, DepthLabel, Label, ObjectLabel, SourceDetections
 from common.messages import Answer, Detections, FrameRef, StoreOrder
 from services.label.cameras import Camera
-from services.label.finish import Finished, Finisher, Job
+from services.label.exact import Finished, versions
+from services.label.finish import Finisher, Job
 from services.label.held import Held, LookAround, Wait
+from services.label.history import kept
 from services.label.labelling import Around
 from services.label.requests import Recording, Request, explain
 from services.label.verdict import verdict
@@ -193,7 +194,7 @@ class Samples:
                 camera=sample.ref.camera,
                 ring=sample.ring.name,
                 slot=sample.slot,
-                label=_label(sample, result, session, others(sample.ref)),
+                label=_label(sample, job, result, session, others(sample.ref)),
             )
             try:
                 store.send(order)
@@ -231,7 +232,7 @@ def _kind(ring: SampleRing) -> tuple[int, int, bool, bool]:
     return layout.width, layout.height, layout.has_depth, layout.has_original
 
 
-def _label(sample: Sample, result: Finished, session: str, others: tuple[SourceDetections, ...]) -> Label:
+def _label(sample: Sample, job: Job, result: Finished, session: str, others: tuple[SourceDetections, ...]) -> Label:
     ref = sample.ref
     pairs = (taker.order.pair for taker in sample.takers if isinstance(taker, Request) and taker.order.pair)
     return Label(
@@ -255,5 +256,6 @@ def _label(sample: Sample, result: Finished, session: str, others: tuple[SourceD
         complete=not result.missing,
         missing=result.missing,
         pair=next(pairs, None),
-        versions={"tagmill": VERSION, "opencv": str(cv2.__version__)},
+        made_from=kept(job.markers, job.around) if sample.ring.layout.has_original else None,
+        versions=versions(),
     )

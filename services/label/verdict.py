@@ -6,7 +6,7 @@ from collections.abc import Sequence
 from typing import NamedTuple
 
 from common.labels import Missing
-from services.label.finish import Finished
+from services.label.exact import Finished
 from services.label.requests import explain
 
 _WHY = {

@@ -6,7 +6,7 @@ from typing import Any
 
 from common.labels import Erased, LeftOut, Missing
 from services.label.contradictions import Contradictions
-from services.label.finish import Finished
+from services.label.exact import Finished
 from services.label.labelling import Labelled
 from services.label.verdict import verdict
 from tests.support.samples import object_label
