@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import os
+import signal
 from collections.abc import Callable, Iterator
 from pathlib import Path
 from typing import Any
@@ -18,6 +19,11 @@ ROOT = Path(__file__).resolve().parents[1]
 # A property doesn't fail because the machine is slow just now.
 settings.register_profile("tagmill", deadline=None)
 settings.load_profile("tagmill")
+
+# A shell ignores Ctrl-C for what it starts in the background (`make test &`), and children inherit that; the programs
+# under test are started as from a terminal.
+if signal.getsignal(signal.SIGINT) is signal.SIG_IGN:
+    signal.signal(signal.SIGINT, signal.default_int_handler)
 
 
 @pytest.fixture(scope="session")

@@ -58,6 +58,9 @@ def test_the_true_error_lies_within_two_bars() -> None:
     found = ratios(30, seed=3)
     assert len(found["distance"]) >= 57
     check(found, 0.90, 1.0)  # sixty objects are too few for an upper limit of 99 %
+    # Bars that are far too wide would pass that; half of all errors must reach a third of their bar.
+    medians = {what: float(np.median(values)) for what, values in found.items()}
+    assert all(median > 0.33 for median in medians.values()), medians
 
 
 @pytest.mark.long
