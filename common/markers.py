@@ -98,11 +98,19 @@ def family(name_or_path: str, folder: Path) -> Family:
     if name in known:
         dictionary = cv2.aruco.getPredefinedDictionary(known[name])
         return Family(name, len(dictionary.bytesList), dictionary.markerSize, name.startswith("apriltag_"), dictionary)
-    path = folder / text
-    if text and (Path(text).suffix.lower() in _FILE_SUFFIXES or "/" in text or path.is_file()):
-        dictionary = _read(path)
+    if is_dictionary_file(text, folder):
+        dictionary = _read(folder / text)
         return Family(text, len(dictionary.bytesList), dictionary.markerSize, False, dictionary)
     raise ConfigError(_unknown(text, name, (*known, *_ALIASES)))
+
+
+def is_dictionary_file(name_or_path: str, folder: Path) -> bool:
+    """Whether this means a dictionary file (path relative to ``folder``) and not a predefined family."""
+    text = name_or_path.strip()
+    name = text.lower().removeprefix(_PREFIX.lower())
+    if not text or _ALIASES.get(name, name) in _predefined():
+        return False
+    return Path(text).suffix.lower() in _FILE_SUFFIXES or "/" in text or (folder / text).is_file()
 
 
 def names() -> tuple[str, ...]:

@@ -82,7 +82,9 @@ WORDS: dict[str, Words] = {
     "bad_name": Words("That name can't be used.", "Use letters, digits, '.', '_' and '-'."),
     "wrong_state": Words("Not now.", "Stop what is being recorded first: 'tagmill stop'."),
     "needs_restart": Words("The stack must be restarted for that.", "'tagmill down', then 'tagmill up'."),
-    "bad_config": Words("The rig file can't be used.", "Correct it; 'tagmill check' says all that is wrong."),
+    "bad_config": Words(
+        "That can't be used as it is.", "Correct it; 'tagmill check' says all that is wrong with a rig file."
+    ),
     # --- samples -----------------------------------------------------------------------------------------------
     "no_sample": Words("There is no such sample.", "'tagmill dataset list' names them, with --bin those in the bin."),
     "nothing_to_undo": Words(

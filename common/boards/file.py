@@ -11,19 +11,22 @@ import yaml
 from common.boards.model import Board
 from common.config.problems import Problems
 from common.config.schema import read_model
-from common.config.tree import read_tree
+from common.config.tree import Tree, read_tree
 from common.errors import ConfigError
+from common.markers import is_dictionary_file
 
 WHAT = "board description"
 
 
 def read_board(path: Path) -> Board:
-    """The board that a file describes.
+    """The board that a file describes; a dictionary file's path counts from the description's folder.
 
     Raises ConfigError with every mistake as ``file:line: field: reason``.
     """
     problems = Problems(path)
     tree = read_tree(path, problems, WHAT)
+    if tree is not None:
+        _place_dictionary(tree, path.absolute().parent)
     board = None if tree is None else read_model(tree, problems, Board)
     problems.raise_if_any()
     if board is None:
@@ -31,9 +34,21 @@ def read_board(path: Path) -> Board:
     return board
 
 
+def _place_dictionary(tree: Tree, folder: Path) -> None:
+    """Make the path of a custom dictionary absolute: the description and its dictionary lie and travel together."""
+    named = tree.child("family")
+    if named is not None and isinstance(named.value, str) and is_dictionary_file(named.value, folder):
+        named.value = str(folder / named.value.strip())
+
+
 def write_board(path: Path, board: Board) -> None:
-    """Write the description, whole or not at all, with the keys that its kind has. Raises ConfigError."""
+    """Write the description, whole or not at all, with the keys that its kind has. Raises ConfigError.
+
+    A dictionary file's path counts from the working directory in ``board``, from ``path``'s folder in the file.
+    """
     document = board.model_dump(mode="json", exclude_none=True)
+    if board.family is not None and is_dictionary_file(board.family, Path()):
+        document["family"] = os.path.relpath(board.family, path.parent)
     if board.kind == "chessboard":
         del document["first_id"], document["border_bits"]
     if board.kind != "charuco":

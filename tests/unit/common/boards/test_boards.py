@@ -175,6 +175,29 @@ def test_a_mistake_is_told_with_its_place(text: str, tmp_path: Path) -> None:
     assert str(path) in caught.value.message
 
 
+def test_a_dictionary_file_lies_beside_the_description_wherever_it_is_read_from(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    there, here = tmp_path / "boards", tmp_path / "here"
+    there.mkdir()
+    here.mkdir()
+    storage = cv2.FileStorage(str(there / "own.yml"), cv2.FILE_STORAGE_WRITE)
+    cv2.aruco.extendDictionary(40, 5).writeDictionary(storage)
+    storage.release()
+    monkeypatch.chdir(there)
+    ids = [marker.id for marker in charuco(family="own.yml").markers]
+    monkeypatch.chdir(here)
+    (there / "by-hand.yaml").write_text(
+        "kind: charuco\ncolumns: 5\nrows: 7\nsquare_mm: 30\nmarker_mm: 20\nfamily: own.yml\n"
+    )
+    found = read_board(there / "by-hand.yaml")
+    assert found.family == str(there / "own.yml")
+    assert [marker.id for marker in found.markers] == ids
+    write_board(here / "copied.yaml", found)
+    assert "family: ../boards/own.yml" in (here / "copied.yaml").read_text()
+    assert [marker.id for marker in read_board(here / "copied.yaml").markers] == ids
+
+
 def test_a_board_that_cannot_be_is_no_board() -> None:
     with pytest.raises(ValidationError, match="legacy is a layout of charuco"):
         chessboard(legacy=True)
