@@ -3,7 +3,7 @@ PYTHON ?= python3
 VENV := .venv
 BIN := $(VENV)/bin
 STAMP := $(VENV)/.ready
-EXTRAS := dev,console,realsense
+EXTRAS := dev,console,realsense,fast
 OTHER_VENV := .venv-opencv5
 OTHER_STAMP := $(OTHER_VENV)/.ready
 # Compiled modules are kept, whatever the environment says: each service starts in two thirds of the time.

@@ -9,6 +9,7 @@ from pydantic import BaseModel, ConfigDict, Field, ValidationInfo, field_validat
 from pydantic_core import PydanticCustomError
 
 from common.config.addresses import address_fault
+from common.config.dataset import DatasetConfig
 from common.config.realsense import RealSenseOptions
 from common.config.section import Section
 from common.ids import NAME_PATTERN
@@ -18,15 +19,6 @@ from common.ledgers import AutoLimits
 Name = Annotated[str, Field(pattern=NAME_PATTERN)]
 PositiveMm = Annotated[float, Field(gt=0, allow_inf_nan=False)]
 Millimetres = Annotated[float, Field(allow_inf_nan=False)]
-
-
-class DatasetConfig(Section):
-    """Where samples go: ``<root>/<session>/``."""
-
-    root: Path = Path("./dataset")
-    session: Name = "session"
-    keep_original: bool = False
-    format: Literal["png"] = "png"
 
 
 class MarkersConfig(Section):

@@ -26,6 +26,7 @@ THUMB_WIDTH = 320
 _THUMBS_KEPT = 1000
 _THUMB_QUALITY = 80
 _SIZED = 10
+_MEDIA = {".png": "image/png", ".jpg": "image/jpeg", ".webp": "image/webp"}
 
 
 class Found(NamedTuple):
@@ -80,7 +81,7 @@ def _read(session: Path, item: Plain, what: What, binned: bool) -> Found:
         raise DatasetError(f"{item['name']} has no {kind} picture", code="missing_file")
     data = _bytes(session, path)
     if what in {"rgb", "original"}:
-        return Found(data, "image/png" if PurePosixPath(path).suffix == ".png" else "application/octet-stream")
+        return Found(data, _MEDIA.get(PurePosixPath(path).suffix, "application/octet-stream"))
     picture = cv2.imdecode(np.frombuffer(data, np.uint8), cv2.IMREAD_COLOR if what == "thumb" else cv2.IMREAD_UNCHANGED)
     if picture is None:
         raise DatasetError(f"{path} is no picture that can be read; it is damaged", code="damaged")

@@ -31,10 +31,11 @@ from common.messages import (
     SessionOrder,
     StoreOrder,
 )
-from common.service.meters import Rate, Tally
+from common.service.meters import Rate, StepMeans, Tally
 from services.store.accounts import Accounts, Give
 from services.store.background import DiskThread
 from services.store.choice import Choice, remember
+from services.store.encode import Coding
 from services.store.gallery import Gallery, Tell
 from services.store.keeper import Phase, SessionKeeper
 from services.store.orders import StoreOrders, fault
@@ -73,6 +74,7 @@ class OrderDesk:
         self.refused = Tally()
         self.stored = Rate()
         self.bytes_written = 0
+        self.steps = StepMeans()
         self.newest_order_ns = 0
         self.newest_answer_ns = 0
 
@@ -192,7 +194,7 @@ class OrderDesk:
             self._finish(order, error or self._keeper.refusal)
             return
         label = order.label.model_copy(update={"session": session.book.name})
-        job = WriteJob(session.folder, label, order.ring, order.slot)
+        job = WriteJob(session.folder, label, order.ring, order.slot, Coding.of(self._wanted.rig.config.dataset))
         self._writer.submit(job, lambda written: self._written(order, written))
 
     def _written(self, order: StoreOrder, written: Written) -> None:
@@ -200,6 +202,7 @@ class OrderDesk:
             self._keeper.samples.add(order.key)
             self.stored.mark()
             self.bytes_written += written.bytes
+            self.steps.add(written.laps)
             if self._keeper.book is not None:
                 self._keeper.book.sample_stored(order.recording, order.camera)
             self._gallery.stored(order.key)

@@ -16,8 +16,9 @@ from common.dataset.layout import PICTURES, PictureKind, label_path, picture_pat
 from common.errors import RefusedError
 from common.frames import Pictures
 from common.labels import Label, SampleFiles, StoredFile
+from common.service.meters import Stopwatch
 from services.store.disk import require_room
-from services.store.encode import EXTENSION, encode_png
+from services.store.encode import LOSSLESS, Coding
 
 BAD_SAMPLE = "bad_sample"
 
@@ -33,16 +34,26 @@ def is_stored(session: Path, sample: str) -> bool:
     return True
 
 
-def write_sample(session: Path, label: Label, pictures: Mapping[PictureKind, Picture], reserve: int) -> int:
+def write_sample(
+    session: Path,
+    label: Label,
+    pictures: Mapping[PictureKind, Picture],
+    reserve: int,
+    coding: Coding = LOSSLESS,
+    watch: Stopwatch | None = None,
+) -> int:
     """Make a new sample durable; returns the bytes written.
 
     ``pictures``: ``rgb`` and ``original`` (H, W, 3) uint8 BGR, ``depth`` (H, W) uint16. The label's ``files``
     are filled in here. Raises RefusedError (``disk_full`` before the disk is really full, ``bad_sample``) and
     OSError; whatever was written of the sample is removed then.
     """
-    encoded = {kind: encode_png(picture) for kind, picture in pictures.items()}
-    files = {kind: _stored(kind, label.sample, data) for kind, data in encoded.items()}
+    watch = watch or Stopwatch()
+    encoded = {kind: coding.encode(kind, picture) for kind, picture in pictures.items()}
+    watch.lap("encode")
+    files = {kind: _stored(kind, label.sample, coding, data) for kind, data in encoded.items()}
     text = _readable_text(label.model_copy(update={"files": SampleFiles(**files)}))
+    watch.lap("describe")
     total = sum(file.size for file in files.values()) + len(text)
     require_room(session, total, reserve)
     try:
@@ -52,27 +63,28 @@ def write_sample(session: Path, label: Label, pictures: Mapping[PictureKind, Pic
             write_bytes(session / files[kind].path, data)
         write_bytes(session / label_path(label.sample), text)
     except BaseException:
-        discard(session, label.sample)
+        discard(session, label.sample, coding)
         raise
+    watch.lap("write")
     return total
 
 
-def discard(session: Path, sample: str) -> None:
+def discard(session: Path, sample: str, coding: Coding = LOSSLESS) -> None:
     """Remove what there is of a sample, its label first; what a broken disk keeps is left to the recovery."""
-    for path in _every_path(session, sample):
+    for path in _every_path(session, sample, coding):
         for leftover in (path, temporary_path(path)):
             with contextlib.suppress(OSError):
                 leftover.unlink(missing_ok=True)
 
 
-def _every_path(session: Path, sample: str) -> Iterable[Path]:
+def _every_path(session: Path, sample: str, coding: Coding) -> Iterable[Path]:
     yield session / label_path(sample)
     for kind in PICTURES:
-        yield session / picture_path(kind, sample, EXTENSION)
+        yield session / picture_path(kind, sample, coding.extension(kind))
 
 
-def _stored(kind: PictureKind, sample: str, data: bytes) -> StoredFile:
-    path = picture_path(kind, sample, EXTENSION)
+def _stored(kind: PictureKind, sample: str, coding: Coding, data: bytes) -> StoredFile:
+    path = picture_path(kind, sample, coding.extension(kind))
     return StoredFile(path=str(path), size=len(data), sha256=hashlib.sha256(data).hexdigest())
 
 

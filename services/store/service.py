@@ -164,6 +164,7 @@ class StoreService:
             "bytes_written": float(desk.bytes_written),
             "workers_replaced": float(self._writer.replaced),
             "bad_messages": float(self._server.bad + self._subscriber.bad),
+            **desk.steps.as_numbers(),
         }
         if keeper.disk.free_bytes is not None:
             numbers["free_bytes"] = float(keeper.disk.free_bytes)

@@ -6,7 +6,7 @@ import os
 import time
 from collections import OrderedDict
 from collections.abc import Container
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from pathlib import Path
 
 import cv2
@@ -18,6 +18,8 @@ from common.errors import FrameLostError, RefusedError
 from common.frames import SampleSlots
 from common.labels import Label
 from common.messages import ErrorInfo
+from common.service.meters import Laps, Stopwatch
+from services.store.encode import LOSSLESS, Coding
 from services.store.sample import is_stored, pictures_for, write_sample
 
 PIXELS_GONE = "pixels_gone"
@@ -27,20 +29,25 @@ _MOST_RINGS = 16
 
 @dataclass(frozen=True)
 class WriteJob:
-    """A sample to write into the session's folder: its label, and where its pixels are."""
+    """A sample to write into the session's folder: its label, where its pixels are, how its pictures are coded."""
 
     session: Path
     label: Label
     ring: str
     slot: int
+    coding: Coding = LOSSLESS
 
 
 @dataclass(frozen=True)
 class Written:
-    """What became of a job: ``bytes`` written (0 if the sample was on the disk already), or an ``error``."""
+    """What became of a job: ``bytes`` written (0 if the sample was on the disk already), or an ``error``.
+
+    ``laps``: what encoding, describing (checksums, the label's text) and writing with fsync took.
+    """
 
     bytes: int = 0
     error: ErrorInfo | None = None
+    laps: Laps = field(default_factory=dict)
 
 
 @dataclass(frozen=True)
@@ -69,7 +76,9 @@ def write(turn: Turn) -> Written:
             if is_stored(job.session, job.label.sample):
                 return Written()
             pictures = pictures_for(job.label, _rings.slots(job.ring, turn.needed).view(job.slot))
-            return Written(bytes=write_sample(job.session, job.label, pictures, turn.reserve))
+            watch = Stopwatch()
+            written = write_sample(job.session, job.label, pictures, turn.reserve, job.coding, watch)
+            return Written(bytes=written, laps=watch.laps)
     except FrameLostError as error:
         return Written(error=ErrorInfo(code=PIXELS_GONE, message=f"{job.label.sample} is lost: {error.message}"))
     except RefusedError as error:

@@ -12,7 +12,7 @@ import yaml
 from pydantic import ValidationError
 
 from common.bus import CommandClient, Endpoints, holder_of
-from common.config.models import DatasetConfig
+from common.config.dataset import DatasetConfig
 from common.dataset import SESSION_FILE
 from common.dataset.bin import delete, restore, settle
 from common.dataset.emptied import finish_removal, removed

@@ -8,10 +8,10 @@ from pathlib import Path
 import pytest
 from pydantic import BaseModel
 
+from common.config.dataset import DatasetConfig
 from common.config.models import (
     DRIVER_OPTIONS,
     CameraConfig,
-    DatasetConfig,
     InpaintConfig,
     MarkersConfig,
     NetworkConfig,

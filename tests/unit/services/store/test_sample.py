@@ -12,7 +12,7 @@ from common.dataset import FOLDERS, SessionReader, label_schema
 from common.errors import RefusedError
 from common.frames import Pictures
 from services.store import sample as sample_module
-from services.store.encode import encode_png
+from services.store.png import encode_png
 from services.store.sample import discard, is_stored, pictures_for, write_sample
 from tests.support.samples import camera_label, label_for, pixels
 
