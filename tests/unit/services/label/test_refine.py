@@ -164,6 +164,42 @@ def test_small_markers_are_refined_as_well(side_px: float) -> None:
     assert np.mean(better) > 0.05
 
 
+def half_shaded(seen: Seen, angle: float, through: np.ndarray, light: float) -> np.ndarray:
+    """A shadow's edge, 2 px soft, through a point (px): beyond it there is so much of the light."""
+    y, x = np.mgrid[: seen.grey.shape[0], : seen.grey.shape[1]]
+    along = (x - through[0]) * np.cos(angle) + (y - through[1]) * np.sin(angle)
+    return np.rint(seen.grey * (1 - (1 - light) * np.clip(along / 2 + 0.5, 0, 1))).astype(np.uint8)
+
+
+@pytest.mark.parametrize("light", [0.25, 0.5, 0.75])
+def test_a_shadows_edge_across_a_marker_costs_little(light: float) -> None:
+    rng = np.random.default_rng(31)
+    off, bars = [], []
+    for marker in range(8):
+        seen = render(drawing("DICT_APRILTAG_36h11", marker), 50, looking_at(rng, 600, 30), rng)
+        through = seen.corners.mean(axis=0) + rng.uniform(-0.15, 0.15, 2) * np.ptp(seen.corners, axis=0)
+        grey = half_shaded(seen, rng.uniform(0, 2 * np.pi), through, light)
+        refined = refine(grey, coarse(seen, marker, rng), TAG)
+        assert refined.converged
+        assert refined.covariance is not None
+        off.append(np.linalg.norm(np.array(refined.corners) - seen.corners, axis=1))
+        bars.append(np.sqrt(np.diag(refined.covariance).reshape(4, 2).sum(axis=1)))
+    assert np.mean(off) < 0.04
+    assert np.max(off) < 0.2
+    assert np.mean(np.array(off) < 2 * np.array(bars)) > 0.85
+
+
+def test_something_before_half_of_a_marker_is_no_shadow() -> None:
+    rng = np.random.default_rng(32)
+    seen = render(drawing("DICT_APRILTAG_36h11", 4), 50, looking_at(rng, 600, 30), rng)
+    middle = int(seen.corners[:, 0].mean())
+    for grey_value in (40, 150):
+        covered = seen.grey.copy()
+        covered[:, middle:] = grey_value
+        marker = coarse(seen, 4, rng)
+        assert refused(refine(covered, marker, TAG), marker)
+
+
 def refused(refined: Refined, marker: DetectedMarker) -> bool:
     return not refined.converged and refined.corners == marker.corners and refined.kind == marker.kind
 

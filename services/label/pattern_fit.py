@@ -1,0 +1,257 @@
+"""The least-squares problem behind `refine`: a marker's known pattern, aligned with the pixels around its edges.
+
+See `services.label.refine` for the model; a shadow's edge (`services.label.shade`) is a part of it where asked for.
+"""
+
+from __future__ import annotations
+
+import cv2
+import numpy as np
+from numpy.typing import NDArray
+
+from services.label.edge_pattern import Pattern, Values
+from services.label.lens import Lens
+from services.label.shade import PARAMETERS, Shade
+
+Array = NDArray[np.float64]
+Picture = NDArray[np.uint8]
+
+MAX_ITERATIONS = 14
+FIRST_SIGMA_PX = 1.4
+"""Wide at first, so that corners that are off by two pixels still feel their edge."""
+FIRST_SIGMA_CELLS, LEAST_FIRST_SIGMA_PX = 0.4, 0.6
+"""But no wider than such a share of a cell: a blur that leaves nothing of a small marker's pattern leads nowhere."""
+SETTLED_PX = 0.15
+"""Once the corners move less than this, blur and tone are fitted too."""
+ROUGH_ITERATIONS = 5
+"""... or after so many steps: with too wide a blur a narrow marker's corners never come to rest."""
+DONE_PX = 0.02
+LARGEST_STEP_PX = 1.5
+MIN_CELL_PX = 1.4
+MIN_SHIFT_LIMIT_PX = 2.5
+MORE_ITERATIONS = 14
+"""... for corners that are still on their way after ``MAX_ITERATIONS``."""
+MIN_SEEN = 0.7
+"""The share of the sample points that must lie inside the picture."""
+ACROSS_PX = np.arange(-3.0, 3.5)
+"""Distances from an edge at which pixels are taken."""
+COARSE_PIXELS = 200
+"""Until the corners have settled roughly, so many pixels do."""
+MAX_ALONG = 3
+"""At how many places along an edge of one cell, at most."""
+MIN_PIXELS = 60
+CORRELATED = 1.05
+"""What the model can't explain is alike in neighbouring pixels: corners scatter by this more than from white noise."""
+FLOOR_PX = 0.004
+"""Corners of noiseless rendered markers scatter by this."""
+TONE_SPREAD = 0.1
+"""How bent an edge's profile is expected to be (a gamma of 2.2 is about 0.2)."""
+
+
+def _apply(homography: Array, points: Array) -> Array:
+    """A homography (3, 3) on points (N, 2)."""
+    out = points @ homography[:, :2].T + homography[:, 2]
+    return np.asarray(out[:, :2] / out[:, 2:])
+
+
+class PatternFit:
+    """The least-squares problem of one marker; coordinates are centred and scaled for its conditioning.
+
+    Unknowns: 8 of G, 3 + 3 of black and contrast (constant, along u, along v), 4 of a shadow if there is one, log
+    sigma, tone. ``contrast`` is that in full light.
+    """
+
+    def __init__(self, pattern: Pattern, grey: Array, where: Array, start: Array, cell_px: float) -> None:
+        self._pattern = pattern
+        self._grey = grey
+        self._centre = start.mean(axis=0)
+        self._scale = float(np.linalg.norm(start - self._centre, axis=1).mean())
+        self._where = (where - self._centre) / self._scale
+        n = float(pattern.cells)
+        self._square = np.array([[0.0, 0.0], [n, 0.0], [n, n], [0.0, n]])
+        self._g = cv2.getPerspectiveTransform(
+            ((start - self._centre) / self._scale).astype(np.float32), self._square.astype(np.float32)
+        ).astype(np.float64)
+        self._g /= self._g[2, 2]
+        low, high = np.percentile(grey, [10, 90])
+        self._light = np.array([low, 0.0, 0.0, high - low, 0.0, 0.0])
+        self._sigma = float(np.clip(FIRST_SIGMA_CELLS * cell_px, LEAST_FIRST_SIGMA_PX, FIRST_SIGMA_PX))
+        self._tone = 0.0
+        self._shade: Shade | None = None
+        self._start = (self._g, self._light, self._sigma)
+        self._coarsely = min(max(len(grey) // COARSE_PIXELS, 1), 4)
+        self.residual = float("inf")
+        self._normal = np.eye(16)
+        self._variance = float("inf")
+
+    @classmethod
+    def of(cls, picture: Picture, pattern: Pattern, coarse: Array, lens: Lens) -> PatternFit | None:
+        """The problem for a marker in a picture; None where too little of it can be seen."""
+        sides = np.linalg.norm(coarse - np.roll(coarse, -1, axis=0), axis=1) / pattern.cells
+        if not np.isfinite(coarse).all() or sides.min() < MIN_CELL_PX:
+            return None
+        cell_u, cell_v = float(sides[[0, 2]].mean()), float(sides[[1, 3]].mean())
+        along = int(np.clip(round(min(cell_u, cell_v)), 1, MAX_ALONG))
+        n = float(pattern.cells)
+        square = np.array([[0.0, 0.0], [n, 0.0], [n, n], [0.0, n]], dtype=np.float32)
+        to_pixels = cv2.getPerspectiveTransform(square, coarse.astype(np.float32)).astype(np.float64)
+        points = _apply(to_pixels, pattern.sample(along, ACROSS_PX, (cell_u, cell_v)))
+        height, width = picture.shape[:2]
+        pixels = np.rint(points).astype(np.int64)
+        inside = ((pixels >= 0) & (pixels < (width, height))).all(axis=1)
+        chosen = np.unique(pixels[inside, 1] * width + pixels[inside, 0])
+        if inside.mean() < MIN_SEEN or len(chosen) < MIN_PIXELS:
+            return None
+        rows, columns = np.divmod(chosen, width)
+        values = picture[rows, columns].astype(np.float64)
+        grey = values if values.ndim == 1 else values @ np.array([0.114, 0.587, 0.299])
+        where = lens.undistort(np.column_stack([columns, rows]).astype(np.float64))
+        start = lens.undistort(coarse)
+        if not (np.isfinite(where).all() and np.isfinite(start).all()):
+            return None
+        return cls(pattern, grey, where, start, min(cell_u, cell_v))
+
+    @property
+    def corners(self) -> Array:
+        """The black square's corners (4, 2) in undistorted pixels."""
+        return self._corners_of(self._g)
+
+    @property
+    def contrast(self) -> float:
+        """White minus black in the middle, grey levels."""
+        return float(self._light[3])
+
+    def covariance(self) -> Array:
+        """Covariance (8, 8) px^2 of the corners x y x y ... at the last step, for noise as the residual has it."""
+        # A corner lies where G maps it to the square's, so its move is the one that makes up for a change of G.
+        g, corners = self._g, (self.corners - self._centre) / self._scale
+        by_g = np.zeros((8, 8))
+        for i, ((x, y), (u, v)) in enumerate(zip(corners, self._square, strict=True)):
+            slope = g[:2, :2] - np.outer((u, v), g[2, :2])
+            change = np.array([[x, y, 1, 0, 0, 0, -u * x, -u * y], [0, 0, 0, x, y, 1, -v * x, -v * y]])
+            by_g[2 * i : 2 * i + 2] = np.linalg.solve(slope, -change)
+        of_g = np.linalg.inv(self._normal)[:8, :8] * self._variance
+        return np.asarray(by_g @ of_g @ by_g.T * (self._scale * CORRELATED) ** 2 + np.eye(8) * FLOOR_PX**2)
+
+    @property
+    def dimmest(self) -> float:
+        """White minus black where least light falls, grey levels."""
+        return self.contrast * (1.0 - (self._shade.depth if self._shade is not None else 0.0))
+
+    def add_shade(self, *, anew: bool) -> bool:
+        """Go on with a shadow's edge, from here or (``anew``) from the start; False if the pixels show no such edge."""
+        if anew:
+            self._g, self._light, self._sigma = self._start
+            self._tone = 0.0
+        expected = self._pattern_at(self._where[:, 0], self._where[:, 1], self._g)[0].value.astype(np.float64)
+        shade = Shade.guess(self._where, self._grey, expected, self._scale)
+        if shade is None:
+            return False
+        lit = shade.on(self._where)[0] > 1.0 - shade.depth / 2
+        contrast, black = np.polyfit(expected[lit], self._grey[lit], 1)
+        self._shade, self._light = shade, np.array([black, 0.0, 0.0, contrast, 0.0, 0.0])
+        return True
+
+    def run(self) -> bool:
+        """Iterate; whether the corners settled."""
+        everything = False
+        start = before = self.corners
+        for iteration in range(MAX_ITERATIONS + MORE_ITERATIONS):
+            if iteration >= MAX_ITERATIONS and np.abs(before - start).max() < MIN_SHIFT_LIMIT_PX:
+                return False
+            if not self._step(everything):
+                return False
+            after = self.corners
+            moved = float(np.linalg.norm(after - before, axis=1).max())
+            before = after
+            if everything and moved < DONE_PX:
+                return True
+            everything = everything or moved < SETTLED_PX or iteration >= ROUGH_ITERATIONS
+        return False
+
+    def _step(self, everything: bool) -> bool:
+        """One Gauss-Newton step; False where the problem has no usable solution."""
+        jacobian, residual = self._linearised(1 if everything else self._coarsely)
+        if not everything:
+            jacobian = jacobian[:, :-2]
+        # Cauchy weights: dirt, glare or a finger over a part of the marker shall not pull its corners.
+        spread = max(1.4826 * float(np.median(np.abs(residual))), 1.0)
+        weight = 1.0 / (1.0 + (residual / (3.0 * spread)) ** 2) if everything else np.ones_like(residual)
+        weighted = jacobian * weight[:, None]
+        normal = weighted.T @ jacobian
+        self._variance = float(weight @ residual**2) / max(float(weight.sum()) - jacobian.shape[1], 1.0)
+        right = weighted.T @ residual
+        if everything:
+            normal[-1, -1] += (spread / TONE_SPREAD) ** 2
+            right[-1] -= (spread / TONE_SPREAD) ** 2 * self._tone
+            self._normal = normal
+        normal[np.diag_indices_from(normal)] *= 1.0 + 1e-6
+        try:
+            step = np.asarray(np.linalg.solve(normal, right), dtype=np.float64)
+        except np.linalg.LinAlgError:
+            return False
+        return bool(np.isfinite(step).all()) and self._move(step, everything)
+
+    def _move(self, step: Array, everything: bool) -> bool:
+        """Apply a step, shortened where it would throw a corner far."""
+        before = self.corners
+        change = np.append(step[:8], 0.0).reshape(3, 3)
+        for share in (1.0, 0.5, 0.25, 0.1):
+            candidate = self._g + share * change
+            if abs(np.linalg.det(candidate)) < 1e-9:
+                continue
+            if np.linalg.norm(self._corners_of(candidate) - before, axis=1).max() <= LARGEST_STEP_PX:
+                self._g = candidate
+                self._light = self._light + share * step[8:14]
+                if self._shade is not None:
+                    self._shade = self._shade.moved(share * step[14 : 14 + PARAMETERS])
+                if everything:
+                    self._sigma = float(np.clip(self._sigma * np.exp(np.clip(step[-2], -0.5, 0.5)), 0.3, 5.0))
+                    self._tone = float(np.clip(self._tone + step[-1], -0.45, 0.45))
+                return self.contrast > 0.0
+        return False
+
+    def _corners_of(self, g: Array) -> Array:
+        to_pixels = np.asarray(np.linalg.inv(g), dtype=np.float64)
+        return np.asarray(_apply(to_pixels, self._square) * self._scale + self._centre)
+
+    def _pattern_at(self, x: Array, y: Array, g: Array) -> tuple[Values, Array, Array, Array]:
+        """The blurred pattern at points (N,), with their u, v (cells) and the homography's denominator w."""
+        w = g[2, 0] * x + g[2, 1] * y + 1.0
+        u = (g[0, 0] * x + g[0, 1] * y + g[0, 2]) / w
+        v = (g[1, 0] * x + g[1, 1] * y + g[1, 2]) / w
+        # The blur is isotropic in the picture; across an edge of constant u it is sigma times |grad u|.
+        sigma = self._sigma / self._scale
+        u_x, u_y, v_x, v_y = g[0, 0] - u * g[2, 0], g[0, 1] - u * g[2, 1], g[1, 0] - v * g[2, 0], g[1, 1] - v * g[2, 1]
+        along_u, along_v = np.hypot(u_x, u_y), np.hypot(v_x, v_y)
+        skew = (u_x * v_x + u_y * v_y) / (along_u * along_v)
+        single = (a.astype(np.float32) for a in (u, v, sigma * along_u / np.abs(w), sigma * along_v / np.abs(w), skew))
+        return self._pattern.at(*single), u, v, w
+
+    def _linearised(self, every: int) -> tuple[Array, Array]:
+        """Of one in ``every`` pixels: Jacobian (N, unknowns), residual (N,) picture minus model, grey levels."""
+        where = self._where[::every]
+        x, y = where.T
+        pattern, u, v, w = self._pattern_at(x, y, self._g)
+        p = pattern.value.astype(np.float64)
+        hump = 4.0 * p * (1.0 - p)
+        toned = p + self._tone * hump
+        across, down = u / self._pattern.cells - 0.5, v / self._pattern.cells - 0.5
+        black = self._light[0] + self._light[1] * across + self._light[2] * down
+        contrast = self._light[3] + self._light[4] * across + self._light[5] * down
+        by_pattern = contrast * (1.0 + 4.0 * self._tone * (1.0 - 2.0 * p))
+        by_u, by_v = by_pattern * pattern.by_u / w, by_pattern * pattern.by_v / w
+        by_w = -(by_u * u + by_v * v)
+        columns = [by_u * x, by_u * y, by_u, by_v * x, by_v * y, by_v, by_w * x, by_w * y]
+        columns += [np.ones_like(p), across, down, toned, toned * across, toned * down]
+        profile = [by_pattern * pattern.by_log_blur, contrast * hump]
+        model = black + contrast * toned
+        if self._shade is None:
+            jacobian = np.column_stack([*columns, *profile])
+        else:
+            light, slopes = self._shade.on(where)
+            jacobian = np.column_stack([*columns, *(slopes * (model / light)[:, None]).T, *profile]) * light[:, None]
+            model = model * light
+        residual = self._grey[::every] - model
+        self.residual = float(np.sqrt(np.mean(residual**2))) / max(abs(self._light[3]), 1e-9)
+        return jacobian, residual
