@@ -177,10 +177,10 @@ def plain_frames(count: int, build: Build | None = None) -> list[tuple[Colour, D
     made = build or Build()
     return [
         (
-            np.full((made.colour.height, made.colour.width, 3), 10 * number % 250, np.uint8),
+            np.full((made.colour.height, made.colour.width, 3), (10 * number - 1) % 250 + 1, np.uint8),
             None
             if made.depth is None
-            else np.full((made.depth.height, made.depth.width), 1000 * number % 65000, np.uint16),
+            else np.full((made.depth.height, made.depth.width), (1000 * number - 1) % 65000 + 1, np.uint16),
         )
         for number in range(1, count + 1)
     ]

@@ -108,7 +108,7 @@ def test_a_chessboard_begins_black_and_counts_inner_corners() -> None:
     framed = cv2.copyMakeBorder(painted(board, 2), 50, 50, 50, 50, cv2.BORDER_CONSTANT, value=255)
     found, corners = cv2.findChessboardCornersSB(framed, (9, 6))
     assert found
-    assert np.allclose(np.sort(corners[:, 0], axis=0), np.sort(points.mm[:, :2] * 2 + 49.5, axis=0), atol=0.1)
+    assert np.allclose(np.sort(corners.reshape(-1, 2), axis=0), np.sort(points.mm[:, :2] * 2 + 49.5, axis=0), atol=0.1)
 
 
 @pytest.mark.parametrize(("size", "ambiguous"), [((9, 6), False), ((8, 6), True), ((7, 7), True), ((4, 6), True)])

@@ -178,8 +178,8 @@ def test_a_camera_elsewhere_sees_the_same_things(tags: Family) -> None:
     assert ids is not None
     true = {marker.id: np.array(marker.corners) for thing in rendered.truth for marker in thing.markers}
     errors = [
-        np.linalg.norm(quad[0][[2, 3, 0, 1]] - true[int(tag)], axis=1)
-        for quad, tag in zip(corners, ids[:, 0], strict=True)
+        np.linalg.norm(quad.reshape(4, 2)[[2, 3, 0, 1]] - true[int(tag)], axis=1)
+        for quad, tag in zip(corners, ids.ravel(), strict=True)
     ]
     assert np.median(errors) < 1.0  # unrefined corners; at a grazing angle single ones are worse
     assert scene.viewpoint(90.0).apply([0, 0, 0])[0, 0] != 0.0
