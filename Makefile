@@ -9,7 +9,7 @@ OTHER_STAMP := $(OTHER_VENV)/.ready
 # Compiled modules are kept, whatever the environment says: each service starts in two thirds of the time.
 unexport PYTHONDONTWRITEBYTECODE
 
-.PHONY: setup demo run test test-long lint bench docs clean
+.PHONY: setup demo run test test-long fuzz lint bench docs clean
 .DEFAULT_GOAL := help
 
 help: ## what there is
@@ -43,6 +43,10 @@ $(OTHER_STAMP): pyproject.toml requirements.lock
 	grep -v '^opencv' requirements.lock > $(OTHER_VENV)/requirements.lock
 	$(OTHER_VENV)/bin/pip install --quiet --constraint $(OTHER_VENV)/requirements.lock --editable '.[$(EXTRAS)]' 'opencv-contrib-python-headless>=5,<6'
 	@touch $@
+
+fuzz: $(STAMP) ## hostile input for every parser, SECONDS=60 each, led by coverage (atheris, Python 3.11 to 3.13)
+	$(BIN)/pip install --quiet --constraint requirements.lock atheris
+	$(BIN)/python -m tests.fuzz.run --seconds $(or $(SECONDS),60)
 
 lint: $(STAMP) ## ruff, mypy strict, import-linter
 	$(BIN)/ruff check --no-cache .

@@ -12,14 +12,22 @@ from collections.abc import Iterable
 from dataclasses import dataclass
 from functools import cached_property
 from pathlib import Path
+from typing import Any
 
 import cv2
 import numpy as np
 from numpy.typing import NDArray
 
+from common.bounded import read_bytes
 from common.errors import ConfigError
+from common.file_storage import parse_file_storage
 
 Bitmap = NDArray[np.uint8]
+
+MAX_FILE_BYTES = 1 << 20
+MAX_IDS = 4096
+MAX_SIDE = 16
+"""Of a custom dictionary; the largest that anybody publishes has 2,320 ids, or 8 bits along a side."""
 
 _PREFIX = "DICT_"
 _FILE_SUFFIXES = (".yml", ".yaml", ".xml", ".json")
@@ -128,45 +136,45 @@ def _read(path: Path) -> cv2.aruco.Dictionary:
     """A dictionary from a FileStorage file; raises ConfigError that says what is wrong with the file."""
     if not path.is_file():
         raise ConfigError(f"the marker dictionary file {path} does not exist")
-    dictionary = cv2.aruco.Dictionary()
     try:
-        storage = cv2.FileStorage(str(path), cv2.FILE_STORAGE_READ)
-    except (cv2.error, SystemError) as error:
-        raise ConfigError(f"{path} is no OpenCV FileStorage file (such a YAML file begins with '%YAML:1.0')") from error
-    try:
-        # cv2 5 reads a marker of the wrong length without complaint, so look first.
-        whole = storage.isOpened() and _is_whole(storage.root()) and dictionary.readDictionary(storage.root())
-    except (cv2.error, SystemError):
-        whole = False
-    finally:
-        storage.release()
-    if not whole:
+        text = read_bytes(path, MAX_FILE_BYTES).decode()
+        plain = parse_file_storage(text)
+    except OSError as error:
+        raise ConfigError(f"the marker dictionary file {path} can't be read: {error.strerror}") from error
+    except ValueError as error:
+        why = "it is no text" if isinstance(error, UnicodeDecodeError) else str(error)
+        raise ConfigError(f"{path} is no OpenCV FileStorage file with a marker dictionary: {why}") from error
+    if not plain:
+        raise ConfigError(f"{path} is no OpenCV FileStorage file (such a YAML file begins with '%YAML:1.0')")
+    bits = _bits(plain)
+    if bits is None:
         raise ConfigError(
-            f"{path} is no marker dictionary: it needs nmarkers, markersize and marker_0 ... marker_<nmarkers-1>, "
-            "each a quoted text of markersize x markersize characters 0 or 1"
+            f"{path} is no marker dictionary: it needs nmarkers (at most {MAX_IDS}), markersize (at most {MAX_SIDE}) "
+            "and marker_0 ... marker_<nmarkers-1>, each a quoted text of markersize x markersize characters 0 or 1"
         )
+    packed = [cv2.aruco.Dictionary.getByteListFromBits(one) for one in bits]
+    given = plain.get("maxCorrectionBits")
+    dictionary = cv2.aruco.Dictionary(np.vstack(packed), bits.shape[1], 0)
     distance = _least_distance(dictionary)
     if distance < 1:
         raise ConfigError(
             f"{path} is no usable marker dictionary: two of its markers are alike, or one is like itself turned"
         )
-    if not dictionary.maxCorrectionBits:
-        # A file may leave it out; what can be corrected without doubt follows from the patterns.
-        dictionary.maxCorrectionBits = (distance - 1) // 2
+    # A file may leave it out; what can be corrected without doubt follows from the patterns.
+    most = (distance - 1) // 2
+    dictionary.maxCorrectionBits = given if type(given) is int and 0 < given <= bits[0].size else most
     return dictionary
 
 
-def _is_whole(root: cv2.FileNode) -> bool:
-    sizes = [root.getNode(name) for name in ("nmarkers", "markersize")]
-    if not all(node.isInt() for node in sizes):
-        return False
-    count, side = (int(node.real()) for node in sizes)
-    if count < 1 or side < 1:
-        return False
-    patterns = (root.getNode(f"marker_{marker}") for marker in range(count))
-    return all(
-        node.isString() and len(node.string()) == side * side and set(node.string()) <= {"0", "1"} for node in patterns
-    )
+def _bits(plain: dict[str, Any]) -> Bitmap | None:
+    """The markers' patterns (ids, side, side), 0 and 1; None if they aren't all there."""
+    count, side = plain.get("nmarkers"), plain.get("markersize")
+    if type(count) is not int or type(side) is not int or not (1 <= count <= MAX_IDS and 1 <= side <= MAX_SIDE):
+        return None
+    texts = [plain.get(f"marker_{marker}") for marker in range(count)]
+    if not all(isinstance(text, str) and len(text) == side * side and set(text) <= {"0", "1"} for text in texts):
+        return None
+    return np.array([[int(bit) for bit in text] for text in texts if text], dtype=np.uint8).reshape(count, side, side)
 
 
 def _least_distance(dictionary: cv2.aruco.Dictionary) -> int:

@@ -22,6 +22,7 @@ from yaml.reader import Reader
 from yaml.resolver import BaseResolver
 from yaml.scanner import Scanner
 
+from common.bounded import TooLargeError, read_bytes
 from common.config.problems import FieldPath, Problems
 
 MAX_BYTES = 256 * 1024
@@ -83,12 +84,12 @@ def read_text(path: Path, problems: Problems, what: str = "rig file") -> str | N
         if path.is_dir():
             problems.add(0, (), f"is a directory; name the {what} in it")
             return None
-        if path.stat().st_size > MAX_BYTES:
-            problems.add(0, (), f"is larger than {MAX_BYTES // 1024} KiB; that is no {what}")
-            return None
-        data = path.read_bytes()
+        data = read_bytes(path, MAX_BYTES)
     except FileNotFoundError:
         problems.add(0, (), f"there is no such file; name an existing {what}")
+        return None
+    except TooLargeError:
+        problems.add(0, (), f"is larger than {MAX_BYTES // 1024} KiB; that is no {what}")
         return None
     except (OSError, ValueError) as error:
         problems.add(0, (), f"can't be read: {getattr(error, 'strerror', None) or error}")
@@ -171,7 +172,7 @@ _INT = re.compile(r"^[-+]?[0-9]{1,18}$")
 _HEX = re.compile(r"^0x[0-9a-fA-F]{1,15}$")
 _FLOAT = re.compile(r"^[-+]?(?:\.[0-9]+|[0-9]+(?:\.[0-9]*)?)(?:[eE][-+]?[0-9]+)?$")
 _NOT_FINITE = re.compile(r"^(?:[-+]?\.(?:inf|Inf|INF)|\.(?:nan|NaN|NAN))$")
-_CONTROL = re.compile(r"[\x00-\x08\x0b-\x1f\x7f\ud800-\udfff]")
+CONTROL = re.compile(r"[\x00-\x08\x0b-\x1f\x7f\ud800-\udfff]")
 
 
 class _Builder:
@@ -226,7 +227,7 @@ class _Builder:
 
     def _scalar(self, node: Node, path: FieldPath, line: int) -> Tree | None:
         text: str = node.value
-        if _CONTROL.search(text):
+        if CONTROL.search(text):
             self._problems.add(line, path, f"{text!r} contains a control character; remove it")
             return None
         if not isinstance(node, ScalarNode) or node.style is not None:

@@ -11,6 +11,7 @@ import os
 from collections.abc import Iterable, Mapping
 from pathlib import Path
 
+from common.bounded import parse_json
 from common.dataset.bin import bin_of, labelled, names_in
 from common.dataset.durable import sync_folder
 from common.dataset.layout import FOLDERS, LABELS, sample_of_label, sample_of_picture
@@ -28,7 +29,7 @@ def removed(session: Path) -> dict[str, str | None]:
     found: dict[str, str | None] = {}
     for line in path.read_bytes().splitlines():
         try:
-            plain = json.loads(line)
+            plain = parse_json(line)
         except ValueError:  # cut off by a kill: its sample was not touched yet
             continue
         if isinstance(plain, dict) and is_sample_name(str(plain.get("sample"))):

@@ -6,12 +6,12 @@ the label's model: 10,000 labels take a second or two, not ten. A label that can
 
 from __future__ import annotations
 
-import json
 from collections.abc import Callable, Iterator
 from pathlib import Path
 from sys import intern
 from typing import Any
 
+from common.bounded import parse_json
 from common.dataset.bin import bin_of, labelled
 from common.dataset.layout import BIN, PICTURES, label_path
 from common.geometry import view_direction
@@ -119,7 +119,7 @@ def _object_fits(found: SampleObject, wanted: SampleFilter) -> bool:
 def item_of(sample: str, text: bytes, prefix: str = "") -> SampleItem:
     """A sample as it is listed, from its label file's text; ``prefix`` goes before its files' paths."""
     try:
-        plain = json.loads(text)
+        plain = parse_json(text)
         return SampleItem.model_construct(
             name=sample,
             captured_at=str(plain["captured_at"]),
@@ -131,7 +131,7 @@ def item_of(sample: str, text: bytes, prefix: str = "") -> SampleItem:
             objects=tuple(map(_object_of, plain["objects"])),
             files=dict(_files_of(plain["files"], prefix)),
         )
-    except (ValueError, KeyError, TypeError, IndexError, AttributeError):
+    except (ArithmeticError, ValueError, KeyError, TypeError, IndexError, AttributeError):
         return _unreadable(sample)
 
 

@@ -9,11 +9,13 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
+from common.bounded import TooLargeError, read_bytes
 from common.dataset.bin import bin_of
 from common.dataset.layout import LABELS, PICTURES, PictureKind, label_path, sample_of_label
 from common.dataset.session import SessionFile, parse_versioned, read_session, read_text
 from common.errors import DatasetError
 from common.labels import Label, StoredFile
+from common.pictures import MOST_BYTES, decode
 
 
 class SessionReader:
@@ -109,7 +111,7 @@ class SessionReader:
             raise DatasetError(f"sample {_name(sample)} has no {kind} picture")
         path = self.path(file)
         # decoded from bytes: cv2.imread prints its own warning and returns None for a missing file
-        picture = cv2.imdecode(np.frombuffer(_read_bytes(path), dtype=np.uint8), flags)
+        picture = decode(_read_bytes(path), flags)
         if picture is None:
             raise DatasetError(f"{path} is no picture that can be read; it is damaged", code="damaged")
         return picture
@@ -117,9 +119,11 @@ class SessionReader:
 
 def _read_bytes(path: Path) -> bytes:
     try:
-        data = path.read_bytes()
+        data = read_bytes(path, MOST_BYTES)
     except FileNotFoundError:
         raise DatasetError(f"{path} is missing", code="missing_file") from None
+    except TooLargeError as error:
+        raise DatasetError(f"{path} can't be read: {error}", code="damaged") from error
     except OSError as error:
         raise DatasetError(f"{path} can't be read: {error}") from error
     if not data:

@@ -2,12 +2,12 @@
 
 from __future__ import annotations
 
-import json
 from pathlib import Path
 from typing import Annotated, Any, Literal, TypeVar
 
 from pydantic import Field, ValidationError
 
+from common.bounded import parse_json, read_bytes
 from common.dataset.layout import SESSION_FILE
 from common.errors import DatasetError
 from common.labels import CameraLabel, Part
@@ -15,6 +15,8 @@ from common.ledgers import CameraLedger, Ledger
 
 P = TypeVar("P", bound=Part)
 
+MOST_BYTES = 256 << 20
+"""Of a label or a session.json; ten thousand recordings are 10 MiB."""
 SESSION_SCHEMA: Literal["tagmill.session/1"] = "tagmill.session/1"
 
 
@@ -77,10 +79,10 @@ def read_session(folder: Path) -> SessionFile:
 def read_text(path: Path) -> str:
     """A text file of a dataset; raises DatasetError if it isn't there or can't be read."""
     try:
-        return path.read_text(encoding="utf-8")
+        return read_bytes(path, MOST_BYTES).decode()
     except FileNotFoundError:
         raise DatasetError(f"{path} is missing", code="missing_file") from None
-    except (OSError, UnicodeDecodeError) as error:
+    except (OSError, ValueError) as error:
         raise DatasetError(f"{path} can't be read: {error}") from error
 
 
@@ -90,7 +92,7 @@ def parse_versioned(kind: type[P], text: str, path: Path) -> P:
     Raises DatasetError (code ``other_schema``) for a schema this tagmill doesn't know, else naming the wrong field.
     """
     try:
-        plain = json.loads(text)
+        plain = parse_json(text)
     except ValueError as error:
         raise DatasetError(f"{path} is not JSON ({error}); it is damaged or not tagmill's") from error
     known = kind.model_fields["schema_"].default

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import asyncio
-import json
 from collections import OrderedDict
 from concurrent.futures import ThreadPoolExecutor
 from pathlib import Path, PurePosixPath
@@ -12,9 +11,11 @@ from typing import Any, Literal, NamedTuple
 import cv2
 import numpy as np
 
+from common.bounded import TooLargeError, parse_json, read_bytes
 from common.dataset import SessionReader, label_path
 from common.errors import DatasetError
 from common.labels import StoredFile
+from common.pictures import MOST_BYTES, decode
 from services.console.catalog import Catalog
 from services.console.depth import DepthColours
 from services.console.encode import be_nice, jpeg
@@ -82,7 +83,7 @@ def _read(session: Path, item: Plain, what: What, binned: bool) -> Found:
     data = _bytes(session, path)
     if what in {"rgb", "original"}:
         return Found(data, _MEDIA.get(PurePosixPath(path).suffix, "application/octet-stream"))
-    picture = cv2.imdecode(np.frombuffer(data, np.uint8), cv2.IMREAD_COLOR if what == "thumb" else cv2.IMREAD_UNCHANGED)
+    picture = decode(data, cv2.IMREAD_COLOR if what == "thumb" else cv2.IMREAD_UNCHANGED)
     if picture is None:
         raise DatasetError(f"{path} is no picture that can be read; it is damaged", code="damaged")
     if what == "depth":
@@ -102,7 +103,7 @@ def _label_text(session: Path, name: str, binned: bool) -> bytes:
 
 def _depth_unit(text: bytes) -> float:
     try:
-        plain: Any = json.loads(text)
+        plain: Any = parse_json(text)
         return float(plain["depth"]["unit_mm"])
     except (ValueError, KeyError, TypeError) as error:
         raise DatasetError("the label doesn't say what the depth picture counts in") from error
@@ -112,11 +113,11 @@ def _bytes(session: Path, path: str) -> bytes:
     """A file's content; the reader refuses a path that leads out of the session."""
     where = SessionReader(session).path(StoredFile(path=path, size=0, sha256=""))
     try:
-        return where.read_bytes()
+        return read_bytes(where, MOST_BYTES)
     except FileNotFoundError:
         raise DatasetError(f"{path} is missing", code="missing_file") from None
-    except OSError as error:
-        raise DatasetError(f"{path} can't be read: {error.strerror}") from error
+    except (OSError, TooLargeError) as error:
+        raise DatasetError(f"{path} can't be read: {getattr(error, 'strerror', None) or error}") from error
 
 
 def _mean_bytes(session: Path, items: list[Plain]) -> float | None:

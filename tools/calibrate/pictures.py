@@ -12,7 +12,9 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
+from common.bounded import TooLargeError, read_bytes
 from common.errors import RefusedError
+from common.pictures import MOST_BYTES, decode
 
 Grey = NDArray[np.uint8]
 SUFFIXES = frozenset({".png", ".jpg", ".jpeg", ".bmp", ".tif", ".tiff", ".webp", ".ppm", ".pgm"})
@@ -55,7 +57,7 @@ def pictures_of(images: str) -> Pictures:
     """The pictures of a folder or of a pattern like ``shots/left*.jpg``, in natural order. Raises RefusedError."""
     folder = Path(images)
     if folder.is_dir():
-        found = [path for path in folder.iterdir() if path.suffix.lower() in SUFFIXES]
+        found = [path for path in folder.iterdir() if path.suffix.lower() in SUFFIXES and path.is_file()]
         none = f"{images} holds no picture ({', '.join(sorted(SUFFIXES))})"
     else:
         found = [Path(path) for path in glob.glob(images) if Path(path).is_file()]  # noqa: PTH207 - any pattern, also absolute
@@ -81,9 +83,8 @@ def frames_of(video: Path) -> Pictures:
 
 def _read(path: Path) -> Grey | None:
     try:
-        raw = np.fromfile(path, dtype=np.uint8)
-        found = cv2.imdecode(raw, cv2.IMREAD_GRAYSCALE) if raw.size else None
-    except (OSError, cv2.error):
+        found = decode(read_bytes(path, MOST_BYTES), cv2.IMREAD_GRAYSCALE)
+    except (OSError, TooLargeError):
         return None
     return None if found is None else np.asarray(found, dtype=np.uint8)
 

@@ -11,11 +11,15 @@ from typing import Any
 import numpy as np
 
 from common.boards import Board
+from common.bounded import parse_json, read_bytes
 from common.calibration import Miss, Outcome, Solution, View, view_from
 from common.config.quality import Quality
 from common.errors import DatasetError, RefusedError
 from common.labels import CameraLabel
 from tools.report.files import write_text
+
+MOST_VIEWS_BYTES = 64 << 20
+"""Of a file of kept views; a hundred views of a large board are 2 MiB."""
 
 
 @dataclass(frozen=True)
@@ -114,7 +118,7 @@ def save_views(path: Path, board: Board, views: Sequence[View]) -> None:
 def load_views(path: Path) -> tuple[Board, list[View]]:
     """Board and views of a file that ``save_views`` wrote. Raises RefusedError."""
     try:
-        document = json.loads(path.read_text(encoding="utf-8"))
+        document = parse_json(read_bytes(path, MOST_VIEWS_BYTES))
         return Board.model_validate(document["board"]), [view_from(one) for one in document["views"]]
     except OSError as error:
         raise RefusedError(f"{path} can't be read: {error.strerror}", code="no_views") from error

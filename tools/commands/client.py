@@ -9,11 +9,9 @@ from contextlib import contextmanager
 from pathlib import Path
 from typing import Any
 
-import yaml
-from pydantic import ValidationError
-
 from common.bus import CommandClient, Endpoints
 from common.config.models import NetworkConfig
+from common.config.part import read_part
 from common.errors import EXIT_BAD_CONFIG, EXIT_OK, EXIT_REFUSED, ConfigError, NoAnswerError, TagmillError
 from tools.cli import show_error
 from tools.stack.silence import why_silent
@@ -45,14 +43,7 @@ def network_of(rig: Path | None) -> tuple[NetworkConfig, Path]:
     """
     if rig is None:
         return NetworkConfig(), Path()
-    try:
-        plain = yaml.safe_load(rig.read_text(encoding="utf-8"))
-        network = plain.get("network") if isinstance(plain, dict) else None
-        return NetworkConfig.model_validate(network or {}), rig.parent.absolute()
-    except OSError as error:
-        raise ConfigError(f"the rig file {rig} can't be read: {error.strerror}; name another with --rig") from error
-    except (UnicodeDecodeError, yaml.YAMLError, ValidationError) as error:
-        raise ConfigError(f"{rig} doesn't say where the stack is; 'tagmill check {rig}' says what is wrong") from error
+    return read_part(rig, "network", NetworkConfig), rig.parent.absolute()
 
 
 def ask(client: CommandClient, request: dict[str, Any], timeout_s: float = ANSWER_S) -> dict[str, Any]:

@@ -8,18 +8,16 @@ from contextlib import contextmanager
 from pathlib import Path
 from typing import Any, TypeVar
 
-import yaml
-from pydantic import ValidationError
-
 from common.bus import CommandClient, Endpoints, holder_of
 from common.config.dataset import DatasetConfig
+from common.config.part import read_part
 from common.dataset import SESSION_FILE
 from common.dataset.bin import delete, restore, settle
 from common.dataset.emptied import finish_removal, removed
 from common.dataset.faults import explain
 from common.dataset.listing import SampleIndex
 from common.dataset.locks import FolderLock
-from common.errors import ConfigError, RefusedError
+from common.errors import RefusedError
 from common.messages import MOST_LISTED, SampleFilter
 from tools.commands.client import ask, connected, network_of
 
@@ -130,13 +128,7 @@ def _dataset_of(rig: Path | None) -> tuple[DatasetConfig, Path]:
     """The rig file's ``dataset`` and the file's folder; the rest of the file may be wrong meanwhile."""
     if rig is None:
         return DatasetConfig(), Path()
-    plain = yaml.safe_load(rig.read_text(encoding="utf-8"))
-    try:
-        return DatasetConfig.model_validate((plain or {}).get("dataset") or {}), rig.parent.absolute()
-    except (AttributeError, ValidationError) as error:
-        raise ConfigError(
-            f"{rig} doesn't say where the dataset is; 'tagmill check {rig}' says what is wrong"
-        ) from error
+    return read_part(rig, "dataset", DatasetConfig), rig.parent.absolute()
 
 
 def _existing(folder: Path) -> Path:

@@ -6,8 +6,8 @@ from collections.abc import Iterable, Mapping
 from dataclasses import dataclass
 from pathlib import Path
 
-import yaml
-
+from common.config.problems import Problems
+from common.config.tree import read_tree
 from common.errors import RefusedError
 from common.geometry import Box
 
@@ -62,15 +62,11 @@ def one_line(name: str) -> str:
 
 
 def _read(path: Path) -> dict[str, str | None]:
-    try:
-        plain = yaml.safe_load(path.read_text(encoding="utf-8"))
-    except OSError as error:
-        raise RefusedError(
-            f"--classes is 'side', 'type' or a YAML file; '{path}' can't be read: {error.strerror or error}",
-            code=BAD_MAPPING,
-        ) from error
-    except (yaml.YAMLError, UnicodeDecodeError) as error:
-        raise RefusedError(f"{path} is no YAML: {' '.join(str(error).split())}", code=BAD_MAPPING) from error
+    problems = Problems(path)
+    tree = read_tree(path, problems, "class mapping")
+    if problems.found:
+        raise RefusedError(f"--classes is 'side', 'type' or a YAML file; {problems.lines()[0]}", code=BAD_MAPPING)
+    plain = None if tree is None else tree.plain()
     if not isinstance(plain, dict) or not plain:
         raise RefusedError(f"{path} is no class mapping: {_HOW}", code=BAD_MAPPING)
     found: dict[str, str | None] = {}

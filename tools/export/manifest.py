@@ -12,6 +12,7 @@ from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
 
+from common.bounded import parse_json
 from common.dataset import write_bytes
 from common.errors import RefusedError
 
@@ -56,7 +57,7 @@ class Manifest:
         if not folder.exists() or not any(folder.iterdir()):
             return None
         try:
-            plain = json.loads((folder / MANIFEST).read_bytes())
+            plain = parse_json((folder / MANIFEST).read_bytes())
             if plain["schema"] != SCHEMA:
                 raise RefusedError(
                     f"{folder} was exported by another tagmill ({plain['schema']}); choose another folder",

@@ -11,8 +11,10 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
+from common.bounded import TooLargeError, read_bytes
 from common.errors import DatasetError
 from common.geometry import CameraModel
+from common.pictures import MOST_BYTES, decode
 
 Pixels = NDArray[np.integer[Any] | np.floating[Any]]
 Array = NDArray[np.float64]
@@ -166,10 +168,10 @@ def _maps(camera: CameraModel) -> tuple[NDArray[np.float32], NDArray[np.float32]
 
 def _read(path: Path, flags: int) -> Pixels:
     try:
-        data = path.read_bytes()
-    except OSError as error:
-        raise DatasetError(f"{path} can't be read: {error.strerror or error}") from error
-    picture = cv2.imdecode(np.frombuffer(data, dtype=np.uint8), flags) if data else None
+        data = read_bytes(path, MOST_BYTES)
+    except (OSError, TooLargeError) as error:
+        raise DatasetError(f"{path} can't be read: {getattr(error, 'strerror', None) or error}") from error
+    picture = decode(data, flags)
     if picture is None or picture.dtype not in (np.uint8, np.uint16):
         raise DatasetError(f"{path} is no picture that can be read; it is damaged", code="damaged")
     return picture

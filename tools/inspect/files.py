@@ -11,6 +11,7 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
+from common.bounded import TooLargeError, read_bytes
 from common.dataset import FOLDERS, LABELS, PICTURES, PictureKind, SessionReader, is_temporary, label_path
 from common.dataset.bin import bin_of, names_in
 from common.dataset.emptied import removed
@@ -18,6 +19,7 @@ from common.dataset.layout import sample_of_label, sample_of_picture
 from common.errors import DatasetError
 from common.labels import Label, StoredFile
 from common.ledgers import Ledger
+from common.pictures import MOST_BYTES, decode
 from tools.inspect.facts import Problem, ProblemKind
 
 _DEPTH_AXES = 2
@@ -67,11 +69,11 @@ def _open_picture(reader: SessionReader, label: Label, kind: PictureKind, file: 
         opened.problems.append(Problem(problem, label.sample, file.path, message))
 
     try:
-        data = reader.path(file).read_bytes()
+        data = read_bytes(reader.path(file), MOST_BYTES)
     except FileNotFoundError:
         return note("missing_file", f"{file.path} is missing")
-    except OSError as error:
-        return note("damaged", f"{file.path} can't be read: {error.strerror or error}")
+    except (OSError, TooLargeError) as error:
+        return note("damaged", f"{file.path} can't be read: {getattr(error, 'strerror', None) or error}")
     except DatasetError as error:
         return note("label", error.message)
     opened.bytes += len(data)
@@ -79,7 +81,7 @@ def _open_picture(reader: SessionReader, label: Label, kind: PictureKind, file: 
         note("damaged", f"{file.path} has {len(data)} bytes, its label says {file.size}")
     elif hashlib.sha256(data).hexdigest() != file.sha256:
         note("damaged", f"{file.path} was changed: its checksum is not the one in its label")
-    picture = _decoded(data, cv2.IMREAD_UNCHANGED if kind == "depth" else cv2.IMREAD_COLOR)
+    picture = decode(data, cv2.IMREAD_UNCHANGED if kind == "depth" else cv2.IMREAD_COLOR)
     if picture is None:
         return note("damaged", f"{file.path} is no picture that can be read")
     size, expected = picture.shape[:2], (label.camera.height, label.camera.width)
@@ -89,16 +91,6 @@ def _open_picture(reader: SessionReader, label: Label, kind: PictureKind, file: 
         return note("wrong_size", f"{file.path} is {picture.dtype} with {picture.ndim} axes, not 16 bit depth")
     opened.pictures[kind] = picture
     return None
-
-
-def _decoded(data: bytes, flags: int) -> NDArray[np.generic] | None:
-    """None for what is no picture; cv2 raises for some damage and returns None for other."""
-    if not data:
-        return None
-    try:
-        return cv2.imdecode(np.frombuffer(data, dtype=np.uint8), flags)
-    except cv2.error:
-        return None
 
 
 def stray_files(folder: Path) -> list[Problem]:

@@ -7,13 +7,13 @@ microsoft/Azure-Kinect-Sensor-SDK, src/transformation/mode_specific_calibration.
 
 from __future__ import annotations
 
-import json
 from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
+from common.bounded import parse_json
 from common.errors import CameraError
 from common.geometry import CameraModel
 
@@ -49,7 +49,7 @@ class AzureCalibration:
 def read_calibration(text: bytes, colour: tuple[int, int], depth: tuple[int, int]) -> AzureCalibration:
     """The calibration (JSON) for pictures of these sizes (w, h); raises CameraError for one that it doesn't fit."""
     try:
-        cameras = {one["Location"]: one for one in json.loads(text.rstrip(b"\0"))["CalibrationInformation"]["Cameras"]}
+        cameras = {one["Location"]: one for one in parse_json(text.rstrip(b"\0"))["CalibrationInformation"]["Cameras"]}
         of_depth, of_colour = cameras["CALIBRATION_CameraLocationD0"], cameras["CALIBRATION_CameraLocationPV0"]
         place = of_colour["Rt"]
         return AzureCalibration(

@@ -12,7 +12,10 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
+from common import MOST_PIXELS
+from common.bounded import TooLargeError, read_bytes
 from common.errors import CameraError
+from common.pictures import MOST_BYTES, decode
 from services.capture.cameras.base import FrameSkippedError
 
 PICTURES = frozenset(
@@ -48,7 +51,9 @@ def read_picture(path: Path) -> Colour:
     try:
         picture, kinds, chunks = cv2.imdecodeWithMetadata(raw, flags=cv2.IMREAD_UNCHANGED)
     except cv2.error as error:
-        raise _unreadable(path, f"it is damaged ({error.err})") from error
+        too_large = "IO_MAX_IMAGE" in error.err
+        why = f"it claims more than {MOST_PIXELS >> 20} megapixels" if too_large else f"it is damaged ({error.err})"
+        raise _unreadable(path, why) from error
     if picture is None:
         raise _unreadable(path, "it is damaged or of an unknown format")
     metadata = [
@@ -60,7 +65,7 @@ def read_picture(path: Path) -> Colour:
 
 def read_depth(path: Path) -> Depth:
     """A depth picture as (H, W) uint16; raises FrameSkippedError for anything but one 16-bit channel."""
-    picture = cv2.imdecode(_bytes_of(path), cv2.IMREAD_UNCHANGED)
+    picture = decode(_bytes_of(path), cv2.IMREAD_UNCHANGED)
     if picture is None:
         raise _unreadable(path, "it is damaged or of an unknown format")
     if picture.dtype != np.uint16 or picture.ndim != 2:
@@ -146,7 +151,9 @@ def _split_glob(path: Path) -> tuple[Path, str]:
 
 def _bytes_of(path: Path) -> NDArray[np.uint8]:
     try:
-        raw = np.fromfile(path, np.uint8)
+        raw = np.frombuffer(read_bytes(path, MOST_BYTES), np.uint8)
+    except TooLargeError as error:
+        raise _unreadable(path, str(error)) from error
     except OSError as error:
         if not path.parent.is_dir():
             raise CameraError(f"the folder {path.parent} is gone") from error

@@ -2,14 +2,15 @@
 
 from __future__ import annotations
 
-import json
 from pathlib import Path
 from typing import Any
 
+from common.bounded import parse_json, read_bytes
 from common.config.realsense import RealSenseOptions
 from common.errors import ConfigError
 from services.capture.cameras.realsense_sdk import camera_error, info_of, rs, title_of
 
+_MOST_BYTES_OF_A_PRESET = 1 << 20
 SYNC_MODES = {"off": 0, "master": 1, "slave": 2, "full_slave": 3}
 """``rs.option.inter_cam_sync_mode`` of the D400 family."""
 
@@ -109,8 +110,8 @@ def _plain(name: str) -> str:
 def _load_json(device: Any, path: Path) -> None:
     """A file that the RealSense Viewer saved."""
     try:
-        text = path.read_text(encoding="utf-8")
-        json.loads(text)
+        text = read_bytes(path, _MOST_BYTES_OF_A_PRESET).decode()
+        parse_json(text)
     except (OSError, ValueError) as error:
         raise ConfigError(f"preset_file: {path} can't be read as JSON: {error}") from error
     advanced = info_of(device, rs.camera_info.advanced_mode)

@@ -9,6 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from common.geometry import CameraModel
+from common.pictures import decode
 from services.capture.cameras.base import FrameSkippedError
 from services.capture.cameras.pictures import Colour, Depth
 
@@ -128,7 +129,7 @@ def _pixels(message: Any, kind: str, channels: int, name: str) -> NDArray[Any]:
 
 
 def _decoded(data: NDArray[np.uint8], flags: int, name: str) -> NDArray[Any]:
-    picture = cv2.imdecode(np.ascontiguousarray(data), flags) if data.size else None
+    picture = decode(np.ascontiguousarray(data), flags)
     if picture is None:
         raise FrameSkippedError(f"{name} can't be read: its picture is damaged", "unreadable")
     return np.asarray(picture)

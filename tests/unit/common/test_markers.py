@@ -126,3 +126,29 @@ def test_a_folder_or_a_binary_is_no_dictionary(tmp_path: Path) -> None:
 def test_a_dictionary_of_one_marker_will_do(tmp_path: Path) -> None:
     (tmp_path / "one.yml").write_text(HEAD + 'nmarkers: 1\nmarkersize: 3\nmarker_0: "101011110"\n')
     assert family("one.yml", tmp_path).ids == 1
+
+
+@pytest.mark.parametrize(
+    ("content", "reason"),
+    [
+        (HEAD + "a: " + "[" * 100_000, "nested deeper"),
+        (HEAD + "nmarkers: 2000000000\nmarkersize: 3\n", "at most 4096"),
+        (HEAD + "nmarkers: 1\nmarkersize: 40000\n", "at most 16"),
+        (HEAD + "x" * (2 << 20), "larger than 1 MiB"),
+    ],
+)
+def test_a_hostile_file_costs_nothing(tmp_path: Path, content: str, reason: str) -> None:
+    (tmp_path / "mine.yml").write_text(content)
+    with pytest.raises(ConfigError, match=rf"mine\.yml .*{reason}"):
+        family("mine.yml", tmp_path)
+
+
+@pytest.mark.parametrize("suffix", ["yml", "xml", "json"])
+def test_what_cv2_writes_is_read_as_cv2_reads_it(tmp_path: Path, suffix: str) -> None:
+    written = cv2.aruco.getPredefinedDictionary(cv2.aruco.DICT_5X5_50)
+    storage = cv2.FileStorage(str(tmp_path / f"mine.{suffix}"), cv2.FILE_STORAGE_WRITE)
+    written.writeDictionary(storage)
+    storage.release()
+    found = family(f"mine.{suffix}", tmp_path)
+    assert np.array_equal(found.dictionary.bytesList, written.bytesList)
+    assert (found.bits, found.dictionary.maxCorrectionBits) == (5, written.maxCorrectionBits)

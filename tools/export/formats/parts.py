@@ -9,6 +9,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from common.bounded import parse_json
 from common.errors import DatasetError
 from common.labels import Window
 from tools.export.model import OutFile, Shot
@@ -64,7 +65,7 @@ def read_text(path: Path) -> str:
 def read_json(path: Path) -> Any:
     """A JSON file of an export; raises DatasetError."""
     try:
-        return json.loads(read_text(path))
+        return parse_json(read_text(path))
     except ValueError as error:
         raise DatasetError(f"{path} is no JSON: {error}") from error
 

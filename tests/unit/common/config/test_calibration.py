@@ -144,12 +144,27 @@ def test_a_broken_file_is_told_with_its_field(old: str, new: str, says: str, tmp
 @pytest.mark.parametrize(
     ("name", "content", "says"),
     [
-        ("cal.yml", "%YAML:1.0\n---\ncamera_matrix: !!opencv-matrix\n   rows: 3\n   cols: [", "can't read it"),
-        ("cal.xml", "<?xml version='1.0'?><opencv_storage><a>", "can't read it"),
+        ("cal.yml", "%YAML:1.0\n---\ncamera_matrix: !!opencv-matrix\n   rows: 3\n   cols: [", "can't be read"),
+        ("cal.xml", "<?xml version='1.0'?><opencv_storage><a>", "can't be read"),
         ("cal.xml", "<?xml version='1.0'?><other/>", "FileStorage"),
         ("cal.json", '{"width": 5,', ":1: is no valid JSON"),
         ("cal.json", '{"width": NaN, "height": 1}', "finite"),
         ("cal.json", '{"a":' + "[" * 5000, "nested too deeply"),
+        # OpenCV's own readers end these with a segmentation fault, or reserve 12 GB.
+        ("cal.yml", "%YAML:1.0\n---\na: " + "[" * 100_000, "nested deeper than"),
+        ("cal.yml", "%YAML:1.0\n---\n" + "".join(" " * depth + "a:\n" for depth in range(600)), "nested deeper than"),
+        ("cal.xml", "<?xml version='1.0'?><opencv_storage>" + "<a>" * 3000, "nested deeper than"),
+        ("cal.xml", "<?xml version='1.0'?><!DOCTYPE x [<!ENTITY a 'b'>]><opencv_storage/>", "document type"),
+        (
+            "cal.yml",
+            "%YAML:1.0\n---\ncamera_matrix: !!opencv-matrix\n   rows: 40000\n   cols: 40000\n   data: [ 1. ]\n",
+            "camera_matrix: must be 3x3",
+        ),
+        ("cal.yml", "%YAML:1.0\n---\na: &x [1]\nb: *x\n", "aliases"),
+        ("cal.yml", "%YAML:1.0\n---\na: 1\na: 2\n", "'a' is given twice"),
+        ("cal.json", '{"width": ' + "9" * 5000 + "}", "integer"),
+        ("cal.json", '{"width": ' + "9" * 400 + "}", "finite"),
+        ("cal.json", '{"serial": "\\ud800"}', "control character"),
     ],
 )
 def test_a_damaged_file_of_another_world(name: str, content: str, says: str, tmp_path: Path) -> None:

@@ -77,7 +77,7 @@ def test_a_session_is_named_or_its_folder_is(session: Path, tmp_path: Path, caps
         (["list", "--session", "nowhere"], "there is no session nowhere in", EXIT_REFUSED),
         (["list", "--limit", "-1"], "--offset and --limit must be 0 or more", EXIT_REFUSED),
         (["list", "--min-distance-mm", "-5"], "--min-distance-mm: Input should be greater", EXIT_REFUSED),
-        (["list", "--rig", "no.yaml"], "no.yaml can't be read", EXIT_BAD_CONFIG),
+        (["list", "--rig", "no.yaml"], "no.yaml: there is no such file", EXIT_BAD_CONFIG),
     ],
 )
 def test_mistakes_are_told_and_change_nothing(

@@ -30,7 +30,10 @@ from tools.export.pictures import Change
         (["yolo", "{s}", "--size", "640"], "--size '640' is no size such as 640x480"),
         (["yolo", "{s}", "--letterbox"], "--letterbox needs --size"),
         (["yolo", "{s}", "--val", "0.7", "--test", "0.4"], "together below 1"),
-        (["yolo", "{s}", "--classes", "sides"], "--classes is 'side', 'type' or a YAML file; 'sides' can't be read"),
+        (
+            ["yolo", "{s}", "--classes", "sides"],
+            "--classes is 'side', 'type' or a YAML file; sides: there is no such file",
+        ),
         (["bop", "{s}", "--classes", "side"], "bop describes whole objects"),
         (["kitti", "{s}", "--pictures", "jpg"], "this format takes png pictures only, not jpg"),
         (["yolo", "{s}", "--max-distance-mm", "10"], "none of 12 samples is left: 12 too near or too far"),
