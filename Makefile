@@ -6,10 +6,14 @@ STAMP := $(VENV)/.ready
 EXTRAS := dev,console,realsense,fast
 OTHER_VENV := .venv-opencv5
 OTHER_STAMP := $(OTHER_VENV)/.ready
+PROOF_VENV := .venv-proof
+PROOF_STAMP := $(PROOF_VENV)/.ready
+# Pinned: another version trains otherwise. PyPI's PyTorch for Linux brings CUDA along (6 GB), though only the CPU is used.
+TRAINER := libreyolo==1.6.0 torch==2.14.1 torchvision==0.29.1
 # Compiled modules are kept, whatever the environment says: each service starts in two thirds of the time.
 unexport PYTHONDONTWRITEBYTECODE
 
-.PHONY: setup demo run test test-long fuzz lint bench docs clean
+.PHONY: setup demo run test test-long fuzz lint bench proof docs clean
 .DEFAULT_GOAL := help
 
 help: ## what there is
@@ -57,8 +61,17 @@ lint: $(STAMP) ## ruff, mypy strict, import-linter
 bench: $(STAMP) ## load test: four synthetic cameras through the real stack
 	$(BIN)/tagmill bench load --cameras 4 --fps 30 --size 1280x720 --seconds 30
 
+proof: $(STAMP) $(PROOF_STAMP) ## train a small detector on marker-free, erased and raw pictures and compare (20 minutes, 6 GB)
+	$(BIN)/python -m tools.proof --trainer $(PROOF_VENV)/bin/python
+
+$(PROOF_STAMP):
+	$(PYTHON) -m venv $(PROOF_VENV)
+	$(PROOF_VENV)/bin/pip install --quiet --upgrade pip
+	$(PROOF_VENV)/bin/pip install --quiet $(TRAINER)
+	@touch $@
+
 docs: $(STAMP) ## write the generated pages (topics, command socket, label schema)
 	$(BIN)/python -m tools.docs
 
 clean: ## remove what the targets made
-	rm -rf $(VENV) $(OTHER_VENV) build dist *.egg-info .mypy_cache .ruff_cache .pytest_cache demo-out
+	rm -rf $(VENV) $(OTHER_VENV) $(PROOF_VENV) build dist *.egg-info .mypy_cache .ruff_cache .pytest_cache demo-out proof-out

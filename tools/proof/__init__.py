@@ -1,0 +1,1 @@
+"""``make proof``: a detector trained on what tagmill recorded and erased finds objects that bear no markers."""
