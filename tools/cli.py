@@ -44,6 +44,11 @@ SUB_COMMANDS = (
     SubCommand(
         "inspect", "tools.inspect.command", "what is in a session, which samples look wrong, which files are broken"
     ),
+    SubCommand(
+        "relabel",
+        "tools.relabel.command",
+        "make labels and pictures again from the originals, by another rig",
+    ),
     SubCommand("session", "tools.commands.session", "open or continue a session"),
     SubCommand("reload", "tools.commands.reload", "check the changed rig file and let the stack take it over"),
     SubCommand("preview", "tools.commands.preview", "keep the inpainted preview of a camera going"),

@@ -91,7 +91,8 @@ class Rig:
     def as_plain(self) -> dict[str, Any]:
         """What a label depends on, JSON-able and normalised, for session.json and ``differences``.
 
-        ``{"markers": ..., "objects": {name: ...}, "cameras": {name: {..., "calibration": content or None}}}``
+        ``{"markers": ..., "objects": {name: ...}, "cameras": {name: {..., "calibration": content or None}},
+        "pose": ..., "inpaint": ..., "record": {"incomplete": ...}}``
         """
         cameras = {
             name: {
@@ -104,6 +105,9 @@ class Rig:
             "markers": plain_family(self._family_name(), self.folder),
             "objects": plain_objects(self.boxes),
             "cameras": cameras,
+            "pose": self.config.pose.model_dump(mode="json"),
+            "inpaint": self.config.inpaint.model_dump(mode="json"),
+            "record": {"incomplete": self.config.record.incomplete},
         }
 
     @cached_property

@@ -13,8 +13,8 @@ import errno
 import json
 import os
 import shutil
-from collections.abc import Callable, Iterator, Sequence
-from contextlib import ExitStack
+from collections.abc import Callable, Iterator, Mapping, Sequence
+from contextlib import ExitStack, contextmanager
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -25,12 +25,12 @@ from common.dataset.bin import bin_of, labelled
 from common.dataset.durable import make_folder, sync_folder, write_bytes
 from common.dataset.emptied import REMOVED_FILE, removed
 from common.dataset.head import recording_of
-from common.dataset.layout import LABELS, RECORDS_FILE, SESSION_FILE, label_path
+from common.dataset.layout import LABELS, PICTURES, RECORDS_FILE, SESSION_FILE, PictureKind, label_path
 from common.dataset.locks import SESSION_BUSY, FolderLock
 from common.dataset.reader import SessionReader
 from common.dataset.session import SessionCamera, SessionFile
 from common.errors import RefusedError
-from common.labels import Label
+from common.labels import Label, StoredFile
 from common.ledgers import CameraLedger, Ledger
 
 SESSION_DIFFERS, SESSION_EXISTS = "session_differs", "session_exists"
@@ -57,24 +57,54 @@ def derive(
     ``session_busy`` where a running stack has a source open, ``session_differs``, ``no_sample``), DatasetError for a
     source that can't be read, OSError.
     """
+
+    def describe_file(file: SessionFile) -> SessionFile:
+        return file.model_copy(update={"rig": describe(file.rig)})
+
+    with making(target, [source.folder for source in sources]) as staging:
+        readers = [SessionReader(source.folder) for source in sources]
+        _agree(readers)
+        taken: dict[str, str | None] = {}
+        for source, reader in zip(sources, readers, strict=True):
+            for sample in source.samples if source.samples is not None else reader.samples():
+                if sample in taken:
+                    raise RefusedError(f"sample {sample} is in two of the sessions", code="refused")
+                label = reader.label(sample)
+                link_pictures(staging, reader, label)
+                changed = relabel(label.model_copy(update={"session": target.name}))
+                _write(staging / label_path(sample), changed.model_dump_json(by_alias=True, indent=1).encode() + b"\n")
+                taken[sample] = label.recording
+        whole = all(source.samples is None for source in sources)
+        describe_session(staging, target.name, readers, taken, whole=whole, describe=describe_file)
+    return len(taken)
+
+
+@contextmanager
+def making(target: Path, sources: Sequence[Path], *, goes_on: Callable[[Path], bool] | None = None) -> Iterator[Path]:
+    """The hidden folder in which a session is made; at the end it becomes ``target``, durably.
+
+    The sources are locked against a stack meanwhile. What an earlier attempt left there is removed, unless it
+    ``goes_on`` from it: then it also stays when this attempt fails. Raises RefusedError as `derive`, OSError.
+    """
     if target.exists():
         raise RefusedError(f"there is a session {target.name} in {target.parent} already", code=SESSION_EXISTS)
     with ExitStack() as held:
         for source in sources:
-            held.enter_context(_reading(source.folder))
+            held.enter_context(_reading(source))
         staging = target.with_name(f".{target.name}.part")
         staging.mkdir(exist_ok=True)
         held.enter_context(FolderLock(staging))
-        for left in staging.iterdir():
-            shutil.rmtree(left) if left.is_dir() else left.unlink()
+        if goes_on is None or not goes_on(staging):
+            for left in staging.iterdir():
+                shutil.rmtree(left) if left.is_dir() else left.unlink()
         try:
-            count = _fill(staging, target.name, sources, relabel, describe)
+            yield staging
             staging.rename(target)
         except BaseException:
-            shutil.rmtree(staging, ignore_errors=True)
+            if goes_on is None:
+                shutil.rmtree(staging, ignore_errors=True)
             raise
         sync_folder(target.parent)
-    return count
 
 
 def _reading(folder: Path) -> FolderLock:
@@ -88,32 +118,25 @@ def _reading(folder: Path) -> FolderLock:
         ) from None
 
 
-def _fill(
+def describe_session(
     staging: Path,
     name: str,
-    sources: Sequence[Taken],
-    relabel: Callable[[Label], Label],
-    describe: Callable[[dict[str, Any]], dict[str, Any]],
-) -> int:
-    readers = [SessionReader(source.folder) for source in sources]
+    readers: Sequence[SessionReader],
+    taken: Mapping[str, str | None],
+    *,
+    whole: bool,
+    describe: Callable[[SessionFile], SessionFile],
+) -> None:
+    """Write what a session has beside its samples, durably: ``session.json``, the requests, what was not taken.
+
+    ``taken``: each sample's recording. ``whole``: recordings of which no sample was taken come too.
+    """
     files = [reader.session for reader in readers]
-    _agree(readers, files)
-    taken: dict[str, str | None] = {}
-    for source, reader in zip(sources, readers, strict=True):
-        for sample in source.samples if source.samples is not None else reader.samples():
-            if sample in taken:
-                raise RefusedError(f"sample {sample} is in two of the sessions", code="refused")
-            label = reader.label(sample)
-            _copy(staging, reader, label)
-            changed = relabel(label.model_copy(update={"session": name}))
-            _write(staging / label_path(sample), changed.model_dump_json(by_alias=True, indent=1).encode() + b"\n")
-            taken[sample] = label.recording
     kept = {recording for recording in taken.values() if recording is not None}
-    if all(source.samples is None for source in sources):
+    if whole:
         kept |= {recording for file in files for recording in file.recordings}
-    lines = _request_lines(readers, kept, whole=all(source.samples is None for source in sources))
-    session = _session_file(name, files, kept, lines)
-    session = session.model_copy(update={"rig": describe(session.rig)})
+    lines = _request_lines(readers, kept, whole=whole)
+    session = describe(_session_file(name, files, kept, lines))
     gone = {sample: rec for sample, rec in _known(readers).items() if sample not in taken and rec in kept}
     if gone:
         make_folder(bin_of(staging))
@@ -126,10 +149,10 @@ def _fill(
             make_folder(staging / folder)
             sync_folder(staging / folder)
     write_bytes(staging / SESSION_FILE, session.to_bytes())
-    return len(taken)
 
 
-def _agree(readers: Sequence[SessionReader], files: Sequence[SessionFile]) -> None:
+def _agree(readers: Sequence[SessionReader]) -> None:
+    files = [reader.session for reader in readers]
     for reader, file in zip(readers[1:], files[1:], strict=True):
         found = differences(files[0].rig, file.rig)
         if found:
@@ -141,13 +164,24 @@ def _agree(readers: Sequence[SessionReader], files: Sequence[SessionFile]) -> No
             )
 
 
-def _copy(staging: Path, reader: SessionReader, label: Label) -> None:
-    """Link a sample's pictures (they are never changed in place); copied where the file system has no links."""
-    for kind in ("rgb", "depth", "original"):
+def link_pictures(
+    staging: Path, reader: SessionReader, label: Label, kinds: Sequence[PictureKind] = PICTURES
+) -> dict[PictureKind, StoredFile]:
+    """Link a sample's pictures (they are never changed in place); copied where the file system has no links.
+
+    Those that are there already stay. Their names are not synced. Raises RefusedError ``missing_file``, OSError.
+    """
+    found: dict[PictureKind, StoredFile] = {}
+    for kind in kinds:
         file = reader.stored(label, kind)
         if file is None:
             continue
+        found[kind] = file
         there = staging / file.path
+        if there.exists():
+            if there.stat().st_size == file.size:
+                continue
+            there.unlink()  # a copy that was cut off
         there.parent.mkdir(parents=True, exist_ok=True)
         try:
             os.link(reader.path(file), there)
@@ -160,6 +194,7 @@ def _copy(staging: Path, reader: SessionReader, label: Label) -> None:
             if error.errno not in _NO_LINKS:
                 raise
             _write(there, reader.path(file).read_bytes())
+    return found
 
 
 def _write(path: Path, data: bytes) -> None:

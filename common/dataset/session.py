@@ -2,11 +2,14 @@
 
 from __future__ import annotations
 
+import platform
+from importlib import metadata
 from pathlib import Path
 from typing import Annotated, Any, Literal, TypeVar
 
 from pydantic import Field, ValidationError
 
+from common import VERSION
 from common.bounded import parse_json, read_bytes
 from common.dataset.layout import SESSION_FILE
 from common.errors import DatasetError
@@ -18,6 +21,8 @@ P = TypeVar("P", bound=Part)
 MOST_BYTES = 256 << 20
 """Of a label or a session.json; ten thousand recordings are 10 MiB."""
 SESSION_SCHEMA: Literal["tagmill.session/1"] = "tagmill.session/1"
+
+_PACKAGES = ("opencv-contrib-python-headless", "numpy", "pydantic", "pyzmq")
 
 
 class SessionCamera(Part):
@@ -108,3 +113,14 @@ def parse_versioned(kind: type[P], text: str, path: Path) -> P:
         first = error.errors(include_url=False, include_input=False)[0]
         where = ".".join(str(part) for part in first["loc"])
         raise DatasetError(f"{path}: {where}: {first['msg']}") from error
+
+
+def versions_now() -> dict[str, str]:
+    """The versions of what makes samples, as ``session.json`` names them."""
+    found = {"tagmill": VERSION, "python": platform.python_version()}
+    for package in _PACKAGES:
+        try:
+            found[package] = metadata.version(package)
+        except metadata.PackageNotFoundError:
+            found[package] = "unknown"
+    return found

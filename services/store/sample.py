@@ -41,18 +41,22 @@ def write_sample(
     reserve: int,
     coding: Coding = LOSSLESS,
     watch: Stopwatch | None = None,
+    *,
+    kept: Mapping[PictureKind, StoredFile] | None = None,
 ) -> int:
     """Make a new sample durable; returns the bytes written.
 
     ``pictures``: ``rgb`` and ``original`` (H, W, 3) uint8 BGR, ``depth`` (H, W) uint16. The label's ``files``
-    are filled in here. Raises RefusedError (``disk_full`` before the disk is really full, ``bad_sample``) and
-    OSError; whatever was written of the sample is removed then.
+    are filled in here; ``kept`` are those that are durable in the session already. Raises RefusedError
+    (``disk_full`` before the disk is really full, ``bad_sample``) and OSError; whatever there is of the sample is
+    removed then.
     """
     watch = watch or Stopwatch()
     encoded = {kind: coding.encode(kind, picture) for kind, picture in pictures.items()}
     watch.lap("encode")
     files = {kind: _stored(kind, label.sample, coding, data) for kind, data in encoded.items()}
-    text = _readable_text(label.model_copy(update={"files": SampleFiles(**files)}))
+    named = SampleFiles.model_validate({**files, **(kept or {})})
+    text = _readable_text(label.model_copy(update={"files": named}))
     watch.lap("describe")
     total = sum(file.size for file in files.values()) + len(text)
     require_room(session, total, reserve)

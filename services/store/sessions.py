@@ -2,19 +2,17 @@
 
 from __future__ import annotations
 
-import platform
 from collections.abc import Iterator, Mapping
 from dataclasses import dataclass
-from importlib import metadata
 from itertools import count
 from pathlib import Path
 from typing import Any
 
-from common import VERSION
 from common.clock import iso_utc, wall_ns
 from common.config import Rig, differences
 from common.dataset import LABELS, SESSION_FILE, SessionFile, StackLife, make_folder, read_session, write_bytes
 from common.dataset.locks import FolderLock
+from common.dataset.session import versions_now
 from common.errors import RefusedError
 from services.store.disk import require_room
 from services.store.ledger import Book
@@ -23,7 +21,6 @@ from services.store.recovery import Inventory, recover
 
 SESSION_DIFFERS = "session_differs"
 _ALWAYS = ("rgb", "depth", LABELS)
-_PACKAGES = ("opencv-contrib-python-headless", "numpy", "pydantic", "pyzmq")
 
 
 class SessionDiffersError(RefusedError):
@@ -107,7 +104,7 @@ def _open_locked(wanted: Wanted, folder: Path, lock: FolderLock, reserve: int) -
     with FolderLock(folder / LABELS):
         inventory = recover(folder)
     plain = wanted.rig.as_plain()
-    file = known or SessionFile(name=folder.name, created_at=iso_utc(wall_ns()), rig=plain, versions=_versions())
+    file = known or SessionFile(name=folder.name, created_at=iso_utc(wall_ns()), rig=plain, versions=versions_now())
     records = Records(folder)
     file = _without_requests(file, records)
     open_counts = {recording: counts for recording, counts in inventory.recorded.items() if recording not in records}
@@ -141,13 +138,3 @@ def _require_same_rig(folder: Path, known: Mapping[str, Any], rig: Rig) -> None:
     found = tuple(differences(known, rig.as_plain()))
     if found:
         raise SessionDiffersError(folder, found)
-
-
-def _versions() -> dict[str, str]:
-    found = {"tagmill": VERSION, "python": platform.python_version()}
-    for package in _PACKAGES:
-        try:
-            found[package] = metadata.version(package)
-        except metadata.PackageNotFoundError:
-            found[package] = "unknown"
-    return found

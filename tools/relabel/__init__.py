@@ -1,0 +1,1 @@
+"""`tagmill relabel`: labels and pictures made again from the originals."""
