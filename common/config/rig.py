@@ -92,7 +92,7 @@ class Rig:
         """What a label depends on, JSON-able and normalised, for session.json and ``differences``.
 
         ``{"markers": ..., "objects": {name: ...}, "cameras": {name: {..., "calibration": content or None}},
-        "pose": ..., "inpaint": ..., "record": {"incomplete": ...}}``
+        "pose": ..., "inpaint": ..., "record": {"incomplete": ...}, "dataset": {"format": ..., "quality": ...}}``
         """
         cameras = {
             name: {
@@ -108,6 +108,7 @@ class Rig:
             "pose": self.config.pose.model_dump(mode="json"),
             "inpaint": self.config.inpaint.model_dump(mode="json"),
             "record": {"incomplete": self.config.record.incomplete},
+            "dataset": self.config.dataset.model_dump(mode="json", include={"format", "quality"}),
         }
 
     @cached_property

@@ -17,11 +17,12 @@ from common.messages import DetectedMarker, Detections, FrameAnnounced, FrameRef
 from common.topics import DETECTIONS, FRAME, TRUTH
 from services.label.sightings import GAP_NS, SEEN_NS
 from tests.support.stack import Stack, wait_for
+from tools.cli import main
 
 pytestmark = pytest.mark.process
 
 RIG = """\
-dataset: {root: ./dataset, session: complete}
+dataset: {root: ./dataset, session: complete, keep_original: true}
 objects:
   - name: box-1
     size_mm: {width: 400, height: 300, depth: 300}
@@ -159,6 +160,26 @@ def test_an_overlooked_box_is_interpolated_or_refused_by_name(
     refused = label_process.events("sample.refused")
     assert {event["reason"] for event in refused} == {"incomplete"}
     assert all("box-1 was seen" in event["message"] for event in refused)
+    assert client.request({"command": "session", "name": "next"})["ok"]  # and the store lets go of this one
+    relabelled_to_the_same_bytes(session.folder)
+
+
+def relabelled_to_the_same_bytes(folder: Path) -> None:
+    """What the stack recorded, interpolated poses too, made again by `tagmill relabel` from the originals."""
+    assert main(["relabel", str(folder), "--as-recorded", "--json"]) == 0
+    again = folder.with_name("complete-relabelled")
+    sources = {
+        item.pose_source for name in SessionReader(again).samples() for item in SessionReader(again).label(name).objects
+    }
+    assert sources == {"measured", "interpolated"}
+    for kind in ("rgb", "depth", "original", "label"):
+        before = {path.name: path.read_bytes() for path in (folder / kind).iterdir()}
+        if kind == "label":  # the one field that says where it is
+            before = {
+                name: text.replace(b'"session": "complete",', b'"session": "complete-relabelled",')
+                for name, text in before.items()
+            }
+        assert before == {path.name: path.read_bytes() for path in (again / kind).iterdir()}
 
 
 def record(client: CommandClient, count: int) -> tuple[dict[str, Any], str]:

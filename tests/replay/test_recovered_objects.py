@@ -10,10 +10,12 @@ import numpy as np
 import pytest
 
 from common.config.models import PoseConfig
+from common.evidence import MadeFrom
 from common.geometry import Pose
 from common.messages import DetectedMarker
 from common.scene import Rendered, Scene
 from services.detect.markers import open_detector
+from services.label.history import around_of, kept
 from services.label.inpaint import Crop, mask_of, regions
 from services.label.labelling import Labelled, Labeller
 from tests.replay.scenes import BOXES, CAMERA, FAMILY, FRAME_NS
@@ -144,3 +146,20 @@ def test_time_that_runs_backwards_begins_another_stream(sequence):
     live.label(sequence.markers[0], CAMERA, "cam0", 5 * FRAME_NS)
     assert live.label(sequence.without_box_1(0), CAMERA, "cam0", 0).missing == ()
     assert live.around("cam0", FRAME_NS).expected[0].name == "box-2"
+
+
+def test_a_label_can_be_made_again_from_what_it_keeps(sequence):
+    """Tracked and interpolated objects too: what other frames said goes through JSON and is the same bits."""
+    index = GAP[0] + 1
+    for known_until, picture in ((index, sequence.frames[index].bgr), (FRAMES - 1, smeared(sequence.frames[index]))):
+        live = Labeller(BOXES, FAMILY, PoseConfig())
+        for i in range(known_until + 1):
+            live.label(sequence.without_box_1(i) if i in GAP else sequence.markers[i], CAMERA, "cam0", i * FRAME_NS)
+        around = live.around("cam0", index * FRAME_NS)
+        text = kept(sequence.without_box_1(index), around).model_dump_json()
+        made_from = MadeFrom.model_validate_json(text)
+        worker = Labeller(BOXES, FAMILY, PoseConfig())
+        first = worker.label_once(sequence.without_box_1(index), CAMERA, picture, around)
+        again = worker.label_once(made_from.markers, CAMERA, picture, around_of(made_from))
+        assert again == first
+        assert next(item for item in again.objects if item.name == "box-1").pose_source != "measured"

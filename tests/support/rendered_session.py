@@ -14,7 +14,7 @@ import numpy as np
 
 from common import clock
 from common.config.differences import plain_family, plain_objects
-from common.config.models import PoseConfig
+from common.config.models import InpaintConfig, PoseConfig, RecordConfig
 from common.dataset import LABELS, SESSION_FILE, SessionFile
 from common.geometry import Box, BoxSide, CameraModel, MarkerOnSide
 from common.ids import sample_name
@@ -22,11 +22,11 @@ from common.labels import CameraLabel, DepthLabel, Erased, Label
 from common.ledgers import CameraLedger, Ledger, RecordingSpec
 from common.markers import family
 from common.scene import Scene, SceneCamera
-from services.detect.markers import open_detector
-from services.label.inpaint import erase
-from services.label.labelling import Labeller
-from services.label.occlusion import DepthPicture
-from services.label.regions import regions_on_sides
+from services.detect.markers import MarkerDetector, open_detector
+from services.label.exact import ExactLabels, Options, versions
+from services.label.history import kept
+from services.label.labelling import ALONE
+from services.label.verdict import verdict
 from services.store.sample import write_sample
 
 FAMILY = family("apriltag_36h11", Path())
@@ -58,7 +58,7 @@ def camera(width: int = 640, height: int = 360) -> CameraModel:
 
 @dataclass(frozen=True)
 class Plan:
-    """What to record: every ``apart``-th frame of the scene's path."""
+    """What to record: every ``apart``-th frame of the scene's path; ``boxes``: as the rig describes the objects."""
 
     folder: Path
     apart: int = 6
@@ -68,6 +68,7 @@ class Plan:
     depth: bool = True
     original: bool = False
     name: str = "cam0"
+    boxes: tuple[Box, ...] = BOXES
 
 
 def record_session(plan: Plan, count: int, workers: int = 2) -> tuple[str, ...]:
@@ -85,7 +86,7 @@ def record_session(plan: Plan, count: int, workers: int = 2) -> tuple[str, ...]:
         captured=count, labelled=len(names), recorded=len(names), refused={"no_object": count - len(names)}
     )
     ledger = Ledger(spec=spec, phase="ended", cameras={plan.name: account})
-    rig = {"markers": plain_family(FAMILY.name, Path()), "objects": plain_objects(BOXES), "cameras": {}}
+    rig = {"markers": plain_family(FAMILY.name, Path()), "objects": plain_objects(plan.boxes), "cameras": {}}
     file = SessionFile(
         name=plan.folder.name,
         created_at=clock.iso_utc(START_NS),
@@ -102,26 +103,26 @@ def _record(plan: Plan, numbers: range) -> list[str]:
     model = camera(plan.width, plan.height)
     frustum = (plan.width / 2 / float(model.matrix[0, 0]), plan.height / 2 / float(model.matrix[1, 1]))
     scene = SceneCamera(Scene(BOXES, FAMILY, plan.seed, frustum=frustum, distance_mm=700.0), model)
-    labeller, detector = Labeller(BOXES, FAMILY, PoseConfig()), open_detector(FAMILY, Path())
-    return list(filter(None, (_sample(plan, number, scene, labeller, detector) for number in numbers)))
+    detector = open_detector(FAMILY, Path())
+    exact = ExactLabels(plan.boxes, FAMILY, Options(PoseConfig(), InpaintConfig(), RecordConfig()))
+    return list(filter(None, (_sample(plan, number, scene, exact, detector) for number in numbers)))
 
 
-def _sample(plan: Plan, number: int, scene: SceneCamera, labeller: Labeller, detector: object) -> str | None:
+def _sample(plan: Plan, number: int, scene: SceneCamera, exact: ExactLabels, detector: MarkerDetector) -> str | None:
     frame = number * plan.apart
     shot = scene.render(frame, depth=plan.depth)
-    grey = cv2.cvtColor(shot.bgr, cv2.COLOR_BGR2GRAY)
-    depth = None if shot.depth is None else DepthPicture(shot.depth, 1.0)
-    labelled = labeller.label_once(detector.detect(grey), scene.camera, shot.bgr, depth=depth)  # type: ignore[attr-defined]
-    if not labelled.objects or any(item.quality.ambiguous for item in labelled.objects):
+    markers = tuple(detector.detect(cv2.cvtColor(shot.bgr, cv2.COLOR_BGR2GRAY)))
+    label, original = _label(plan, frame, scene.camera), shot.bgr.copy()
+    finished = exact.finish(shot.bgr, shot.depth, 1.0 if plan.depth else None, label.camera, markers, ALONE)
+    if verdict(finished, background=False) is not None:
         return None
-    found = regions_on_sides(labelled.objects, labelled.left_out, BOXES, scene.camera)
-    original = shot.bgr.copy()
-    erase(shot.bgr, found)
-    label = _label(plan, frame, scene.camera).model_copy(
+    label = label.model_copy(
         update={
-            "objects": labelled.objects,
-            "left_out": labelled.left_out,
-            "inpainted": Erased(method="plane", margin="0.15", polygons=tuple(region.polygon for region in found)),
+            "objects": finished.objects,
+            "left_out": finished.left_out,
+            "inpainted": finished.inpainted,
+            "made_from": kept(markers, ALONE) if plan.original else None,
+            "versions": versions(),
         }
     )
     pictures = {"rgb": shot.bgr} | ({"depth": shot.depth} if plan.depth else {})

@@ -128,19 +128,12 @@ def _show_difference(console: Console, moved: Difference) -> None:
     rows = []
     for name, item in sorted(moved.moved.items()):
         summary = item.summary()
-        cells = [_cell(summary[measure]) if measure in summary else "" for measure in MEASURES]
-        rows.append([name, str(summary["samples"]), *cells])
-    columns = ["object", "samples", *(name.replace("_", " ") for name in MEASURES)]
-    print_table(console, "moved: median / 95 % below / largest", columns, rows)
-    for name, item in sorted(moved.moved.items()):
-        worst = item.summary().get("corners_px")
-        if worst is not None and worst["largest"] > 0:
-            words = f"{name} moved most in {worst['sample']}: a corner by {worst['largest']:.2f} px"
-            console.print(words, markup=False, soft_wrap=True)
-
-
-def _cell(row: dict[str, float]) -> str:
-    return f"{row['median']:.2f} / {row['p95']:.2f} / {row['largest']:.2f}"
+        for measure, (title, unit) in MEASURES.items():
+            if measure in summary:
+                found = summary[measure]
+                numbers = (f"{found[key]:.2f} {unit}" for key in ("median", "p95", "largest"))
+                rows.append([f"{name}: {title}", *numbers, found["sample"] if found["largest"] else ""])
+    print_table(console, "moved", ("", "median", "95 % below", "largest", "in sample"), rows)
 
 
 def _document(done: Done, recipe: Recipe, moved: Difference | None) -> dict[str, Any]:

@@ -14,8 +14,15 @@ from common.dataset import SessionReader
 from common.geometry import Pose
 from common.labels import Label, ObjectLabel
 
-MEASURES = ("corners_px", "window_px", "position_mm", "rotation_deg", "distance_mm")
-"""Largest shift of a corner and of a side of the window in the picture; of the pose; of the distance, with its sign."""
+MEASURES = {
+    "corners_px": ("corner", "px"),
+    "window_px": ("window", "px"),
+    "position_mm": ("position", "mm"),
+    "rotation_deg": ("rotation", "°"),
+    "distance_mm": ("distance", "mm"),
+}
+"""What is measured, with words and unit: the largest shift of a corner and of a side of the window in the picture, that
+of the pose, and the distance's change, with its sign."""
 
 
 @dataclass

@@ -13,6 +13,7 @@ from pydantic import ValidationError
 
 from common.config import load_rig
 from common.config.calibration import read_calibration
+from common.config.dataset import DatasetConfig
 from common.config.differences import differences, plain_calibration
 from common.config.models import InpaintConfig, PoseConfig, RecordConfig
 from common.dataset import SESSION_FILE, SessionFile
@@ -23,6 +24,7 @@ from common.labels import CameraLabel
 from common.markers import family
 from services.capture.cameras.intrinsics import known_or_guessed
 from services.label.exact import ExactLabels, Options, versions
+from services.store.encode import Coding
 
 
 @dataclass(frozen=True)
@@ -38,6 +40,7 @@ class Recipe:
     family: str
     folder: Path
     options: Options
+    coding: Coding
     calibrations: Mapping[str, CameraLabel]
     plain: dict[str, Any]
     changes: tuple[str, ...]
@@ -56,7 +59,7 @@ class Recipe:
     def fingerprint(self) -> str:
         """Of all on which the new labels depend beside the samples, the versions that make them included."""
         content = {
-            "rig": {key: self.plain.get(key) for key in ("markers", "objects", "pose", "inpaint", "record")},
+            "rig": {key: self.plain.get(key) for key in ("markers", "objects", "pose", "inpaint", "record", "dataset")},
             "calibrations": {name: label.model_dump(mode="json") for name, label in sorted(self.calibrations.items())},
             "versions": versions(),
         }
@@ -79,12 +82,13 @@ def recipe_of(session: SessionFile, folder: Path, rig: Path | None, calibrations
                 "name the rig file that names it (--rig)",
                 code="no_dictionary",
             )
-        options, known, source = _options(plain, folder), {}, "the session's own rig"
+        options, coding = _options(plain, folder)
+        known, source = {}, "the session's own rig"
     else:
         loaded = load_rig(rig)
         plain, boxes, base = loaded.as_plain(), loaded.boxes, loaded.folder
         config = loaded.config
-        options = Options(config.pose, config.inpaint, config.record)
+        options, coding = Options(config.pose, config.inpaint, config.record), Coding.of(config.dataset)
         known, source = dict(loaded.calibrations), str(rig)
         plain["cameras"] = {**cameras, **plain["cameras"]}
     known |= _calibrations(calibrations, session)
@@ -93,16 +97,17 @@ def recipe_of(session: SessionFile, folder: Path, rig: Path | None, calibrations
             plain["cameras"][name] = {**plain["cameras"][name], "calibration": plain_calibration(label)}
     name = str((plain.get("markers") or {}).get("family"))
     changes = tuple(differences(session.rig, plain))
-    return Recipe(source, boxes, own, name, base, options, known, plain, changes)
+    return Recipe(source, boxes, own, name, base, options, coding, known, plain, changes)
 
 
-def _options(plain: Mapping[str, Any], folder: Path) -> Options:
+def _options(plain: Mapping[str, Any], folder: Path) -> tuple[Options, Coding]:
     try:
-        return Options(
+        options = Options(
             PoseConfig.model_validate(plain.get("pose") or {}),
             InpaintConfig.model_validate(plain.get("inpaint") or {}),
             RecordConfig.model_validate(plain.get("record") or {}),
         )
+        return options, Coding.of(DatasetConfig.model_validate(plain.get("dataset") or {}))
     except ValidationError as error:
         first = error.errors(include_url=False, include_input=False)[0]
         where = ".".join(str(part) for part in first["loc"])

@@ -6,6 +6,8 @@ from dataclasses import dataclass
 from pathlib import Path
 
 import cv2
+import numpy as np
+from numpy.typing import NDArray
 
 from common.dataset import SessionReader, sync_folder
 from common.dataset.derive import link_pictures
@@ -89,14 +91,14 @@ class Remaker:
                 "versions": versions(),
             }
         )
-        return self._stored(again, label, {"rgb": bgr})
+        return self._stored(again, label, bgr)
 
-    def _stored(self, again: Label, label: Label, pictures: dict[PictureKind, object]) -> Remade:
+    def _stored(self, again: Label, label: Label, bgr: NDArray[np.uint8]) -> Remade:
         staging = self._job.staging
         linked = link_pictures(staging, self._reader, label, _KEPT)
         for kind in linked:
             sync_folder(staging / kind)
-        write_sample(staging, again, pictures, RESERVE_BYTES, linked)  # type: ignore[arg-type]
+        write_sample(staging, again, {"rgb": bgr}, RESERVE_BYTES, self._job.recipe.coding, kept=linked)
         return Remade(again.sample)
 
 

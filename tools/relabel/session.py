@@ -25,6 +25,8 @@ from tools.relabel.remake import Job, Remade, prepare, work
 
 RELABEL_FILE = "relabel.json"
 """In the new session: of what and by what it was made, so that a second run knows that nothing is to be done."""
+_ALONE = 8
+"""Fewer samples are made before a second process has started."""
 _LIMIT_S = 300.0
 _LOOK_S = 1.0
 Tick = Callable[[], None]
@@ -136,6 +138,12 @@ def _all_cores(job: Job, samples: Sequence[str], tick: Tick) -> list[Remade]:
     if not samples:
         return []
     found: list[Remade] = []
+    if len(samples) < _ALONE:
+        prepare(job)
+        for sample in samples:
+            found.append(_outcome(sample, work(sample)))
+            tick()
+        return found
     cores = min(len(os.sched_getaffinity(0)), len(samples))
     crew: Crew[str, Remade | TagmillError | OSError] = Crew(work, prepare, (job,), workers=cores, limit_s=_LIMIT_S)
     try:
