@@ -103,15 +103,15 @@ class CommandServer:
         """Close at once, remove what was made; idempotent."""
         if self._binding is not None:
             self._binding.release()
-        self._socket.close(linger=0)
         if self._gatekeeper is not None:
             self._gatekeeper.close()
+        self._socket.close(linger=0)
         if self._lock is not None:
             self._lock.release()
 
     def _require_keys(self, keys_dir: Path) -> None:
         pair = server_pair(keys_dir)
-        self._gatekeeper = Gatekeeper(keys_dir)
+        self._gatekeeper = Gatekeeper(keys_dir, self._socket)
         self._socket.setsockopt(zmq.ZAP_DOMAIN, _ZAP_DOMAIN)
         # Without this, ZeroMQ lets everybody in while no gatekeeper answers.
         self._socket.setsockopt(zmq.ZAP_ENFORCE_DOMAIN, 1)

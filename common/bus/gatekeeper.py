@@ -9,9 +9,11 @@ import zmq
 import zmq.utils.z85
 
 from common import log
+from common.bus.door import Door
 from common.bus.keys import authorized_keys
 from common.bus.sockets import Socket, new_socket
 from common.errors import ConfigError
+from common.refusals import Refusals
 
 _LOG = log.get()
 _ZAP = "inproc://zeromq.zap.01"
@@ -21,15 +23,16 @@ _PARTS_OF_CURVE_REQUEST = 7
 
 
 class Gatekeeper:
-    """Lets in whose public key lies in ``folder/authorized`` at the moment of connecting; refusals are logged.
+    """Lets in whose public key lies in ``folder/authorized`` at the moment of connecting to ``guarded``.
 
-    A thread, since ZeroMQ asks while it shakes hands. At most one in a process.
+    Who is refused is logged, with the address and a limited rate. A thread, since ZeroMQ asks while it shakes hands.
+    At most one in a process.
     """
 
-    def __init__(self, folder: Path) -> None:
+    def __init__(self, folder: Path, guarded: Socket) -> None:
         authorized_keys(folder)
         self._folder = folder
-        self.refused = 0
+        self._refusals = Refusals("commands.client_refused")
         self._door = new_socket(zmq.REP, {})
         self._bell = new_socket(zmq.PAIR, {})
         ear = new_socket(zmq.PAIR, {})
@@ -42,8 +45,14 @@ class Gatekeeper:
             for made in (self._door, self._bell, ear):
                 made.close(linger=0)
             raise
+        self._watch = Door(guarded, self._refusals)
         self._thread = threading.Thread(target=self._serve, args=(ear,), name="gatekeeper", daemon=True)
         self._thread.start()
+
+    @property
+    def refused(self) -> int:
+        """How many were refused so far."""
+        return self._refusals.total
 
     def close(self) -> None:
         """Stop answering: from here on nobody gets in. Idempotent."""
@@ -52,15 +61,19 @@ class Gatekeeper:
         self._bell.send(_STOP)
         self._thread.join(_JOIN_S)
         self._bell.close(linger=0)
+        self._watch.close()
 
     def _serve(self, ear: Socket) -> None:
         poller = zmq.Poller()
         poller.register(ear, zmq.POLLIN)
         poller.register(self._door, zmq.POLLIN)
+        poller.register(self._watch.ear, zmq.POLLIN)
         try:
             while ear not in (ready := dict(poller.poll())):
                 if self._door in ready:
                     self._door.send_multipart(self._verdict(self._door.recv_multipart()))
+                if self._watch.ear in ready:
+                    self._watch.look()
         finally:
             self._door.close(linger=0)
             ear.close(linger=0)
@@ -70,9 +83,8 @@ class Gatekeeper:
         known = len(request) == _PARTS_OF_CURVE_REQUEST and request[5] == b"CURVE" and self._knows(request[6])
         if known:
             return version, request_id, b"200", b"OK", b"client", b""
-        self.refused += 1
         address = request[3].decode("ascii", "replace") if len(request) > 3 else "?"
-        _LOG.warning("commands.client_refused", address=address, reason="its key is not in authorized/")
+        self._refusals.note(address, "its key is not in authorized/")
         return version, request_id, b"400", b"not authorized", b"", b""
 
     def _knows(self, key: bytes) -> bool:

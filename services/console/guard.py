@@ -18,6 +18,9 @@ from dataclasses import dataclass, field
 from typing import Any
 from urllib.parse import parse_qsl, urlencode
 
+from common import clock
+from common.refusals import Refusals
+
 Scope = MutableMapping[str, Any]
 Receive = Callable[[], Awaitable[MutableMapping[str, Any]]]
 Send = Callable[[MutableMapping[str, Any]], Awaitable[None]]
@@ -26,6 +29,12 @@ Application = Callable[[Scope, Receive, Send], Awaitable[None]]
 COOKIE = "tagmill_console"
 OPEN_PATHS = frozenset({"/healthz"})
 """Say nothing but yes or no, so that a watchdog needs no token."""
+WRONG_TOKENS = 10
+"""So many a minute from one address are told that they are wrong; more get 429. The right one is heard at all times:
+a page with a stack's old token must not keep its operator out, and 256 bits are not guessed at any rate."""
+_TOO_MANY = 429, "too_many_tries", "too many wrong tokens from this address; wait a minute, and see the console's log"
+_MINUTE_NS = 60_000_000_000
+_MOST_ADDRESSES = 1024
 _SAFE = frozenset({"GET", "HEAD"})
 _POLICY = (
     "default-src 'none'; script-src 'self'{hashes}; style-src 'self'; img-src 'self' blob: data:; "
@@ -102,7 +111,13 @@ class Guard:
         self._app = app
         self._rules = rules
         self._hashes = hashes
-        self.refused = 0
+        self._refusals = Refusals("console.refused")
+        self._wrong: dict[str, tuple[int, int]] = {}
+
+    @property
+    def refused(self) -> int:
+        """How many requests were refused so far."""
+        return self._refusals.total
 
     async def __call__(self, scope: Scope, receive: Receive, send: Send) -> None:
         """See ASGI."""
@@ -117,7 +132,7 @@ class Guard:
                 return
             fault = self._token_fault(scope, headers)
         if fault is not None:
-            self.refused += 1
+            self._refusals.note(_address(scope), fault[1])
             await self._refuse(scope, receive, send, *fault)
             return
         await self._app(scope, receive, self._with_headers(send))
@@ -141,20 +156,34 @@ class Guard:
     def _token_fault(self, scope: Scope, headers: dict[str, str]) -> tuple[int, str, str] | None:
         if scope["path"] in OPEN_PATHS:
             return None
-        for given in (_cookie(headers, self._rules.port), _bearer(headers)):
-            if given is not None and self._fits(given):
-                return None
+        given = [one for one in (_cookie(headers, self._rules.port), _bearer(headers)) if one is not None]
+        if any(self._fits(one) for one in given):
+            return None
+        if given and self._count_wrong(scope):
+            return _TOO_MANY
         return 401, "no_token", "open the address with the token that the console's log shows"
 
     def _fits(self, given: str) -> bool:
         assert self._rules.token is not None
         return hmac.compare_digest(given.encode(), self._rules.token.encode())
 
+    def _count_wrong(self, scope: Scope) -> bool:
+        """Whether too many wrong tokens have come from there within the minute."""
+        address, now = _address(scope), clock.monotonic_ns()
+        since_ns, count = self._wrong.pop(address, (now, 0))
+        fresh = now - since_ns >= _MINUTE_NS
+        self._wrong[address] = (now, 1) if fresh else (since_ns, count + 1)
+        if len(self._wrong) > _MOST_ADDRESSES:
+            del self._wrong[next(iter(self._wrong))]
+        return not fresh and count >= WRONG_TOKENS
+
     async def _log_in(self, scope: Scope, send: Send) -> None:
         """From the address with the token to a clean one, with the cookie."""
         if not self._fits(_given_token(scope) or ""):
-            self.refused += 1
-            await _answer(send, 401, "no_token", "that token is not valid (any more); see the console's log")
+            wrong = 401, "no_token", "that token is not valid (any more); see the console's log"
+            status, code, message = _TOO_MANY if self._count_wrong(scope) else wrong
+            self._refusals.note(_address(scope), "wrong_token")
+            await _answer(send, status, code, message)
             return
         rest = [(name, value) for name, value in _query(scope) if name != "token"]
         path = "/" + scope["path"].lstrip("/")  # '//elsewhere' would leave this host
@@ -188,6 +217,11 @@ class Guard:
             (b"cross-origin-resource-policy", b"same-origin"),
             (b"cross-origin-opener-policy", b"same-origin"),
         ]
+
+
+def _address(scope: Scope) -> str:
+    client = scope.get("client")
+    return str(client[0]) if client else "?"
 
 
 async def _answer(send: Send, status: int, code: str, message: str) -> None:

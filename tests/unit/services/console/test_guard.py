@@ -157,3 +157,19 @@ def test_bound_to_all_addresses_it_takes_any_address_but_no_foreign_name(open_ru
 def test_what_is_loopback() -> None:
     assert all(map(is_loopback, ("127.0.0.1", "127.8.8.8", "::1", "localhost")))
     assert not any(map(is_loopback, ("0.0.0.0", "::", "192.168.1.5", "box.local")))
+
+
+def test_who_guesses_is_told_so_ten_times_a_minute_and_the_right_token_is_heard_all_the_while(
+    open_rules: Rules, capsys: pytest.CaptureFixture[str]
+) -> None:
+    watch = guard(open_rules)
+    told = [ask(watch, "GET", f"/live?token=guess-{n}", host="192.168.1.5:8750").status for n in range(50)]
+    assert told == [401] * 10 + [429] * 40
+    cookie = "tagmill_console_8750=stale"
+    assert ask(watch, "GET", "/live", host="192.168.1.5:8750", cookie=cookie).status == 429
+    assert ask(watch, "GET", f"/live?token={TOKEN}", host="192.168.1.5:8750").status == 303
+    assert ask(watch, "GET", "/healthz", host="192.168.1.5:8750").status == 200
+    assert watch.refused == 51
+    lines = [line for line in capsys.readouterr().err.splitlines() if "console.refused" in line]
+    assert 1 <= len(lines) <= 3
+    assert "address=" in lines[0]
