@@ -101,8 +101,7 @@ def family(name_or_path: str, folder: Path) -> Family:
     """
     text = name_or_path.strip()
     known = _predefined()
-    name = text.lower().removeprefix(_PREFIX.lower())
-    name = _ALIASES.get(name, name)
+    name = _canonical(text)
     if name in known:
         dictionary = cv2.aruco.getPredefinedDictionary(known[name])
         return Family(name, len(dictionary.bytesList), dictionary.markerSize, name.startswith("apriltag_"), dictionary)
@@ -115,10 +114,19 @@ def family(name_or_path: str, folder: Path) -> Family:
 def is_dictionary_file(name_or_path: str, folder: Path) -> bool:
     """Whether this means a dictionary file (path relative to ``folder``) and not a predefined family."""
     text = name_or_path.strip()
-    name = text.lower().removeprefix(_PREFIX.lower())
-    if not text or _ALIASES.get(name, name) in _predefined():
+    if not text or is_predefined(text):
         return False
     return Path(text).suffix.lower() in _FILE_SUFFIXES or "/" in text or (folder / text).is_file()
+
+
+def is_predefined(name: str) -> bool:
+    """Whether ``family`` knows this name without reading a file."""
+    return _canonical(name.strip()) in _predefined()
+
+
+def _canonical(text: str) -> str:
+    name = text.lower().removeprefix(_PREFIX.lower())
+    return _ALIASES.get(name, name)
 
 
 def names() -> tuple[str, ...]:

@@ -11,7 +11,7 @@ import yaml
 from common.boards.model import Board
 from common.config.problems import Problems
 from common.config.schema import read_model
-from common.config.tree import Tree, read_tree
+from common.config.tree import Tree, parse_tree, read_tree
 from common.errors import ConfigError
 from common.markers import is_dictionary_file
 
@@ -27,6 +27,17 @@ def read_board(path: Path) -> Board:
     tree = read_tree(path, problems, WHAT)
     if tree is not None:
         _place_dictionary(tree, path.absolute().parent)
+    return _board_of(tree, problems, path)
+
+
+def parse_board(text: str, name: str) -> Board:
+    """Like ``read_board``, from the text of a file that is called ``name``."""
+    path = Path(name)
+    problems = Problems(path)
+    return _board_of(parse_tree(text, problems, WHAT), problems, path)
+
+
+def _board_of(tree: Tree | None, problems: Problems, path: Path) -> Board:
     board = None if tree is None else read_model(tree, problems, Board)
     problems.raise_if_any()
     if board is None:

@@ -31,10 +31,11 @@ class Guidance:
     """What to tell the operator after a frame.
 
     ``words``: one sentence, what to do next or why this frame was not taken (``code`` then: no_board, partial, blurred,
-    wrong_layout, near_duplicate, nothing_new, other_size, enough). ``held``: 0..1 of the time that the board must be
-    still. ``wish``: the next pose, ``ghost`` (4, 2) the board's outline in it, px, TL TR BR BL; ``outline`` (4, 2): as
-    it is seen now. ``taken``: the view, in the frame that was taken and no other. ``spread`` of the ``count`` views.
-    ``size``: the pictures'.
+    wrong_layout, near_duplicate, nothing_new, other_size, enough; of an order: dropped, nothing_to_drop; judging: a
+    verdict is being worked out). ``held``: 0..1 of the time that the board must be still. ``wish``: the next pose,
+    ``ghost`` (4, 2) the board's outline in it, px, TL TR BR BL; ``outline`` (4, 2): as it is seen now. ``taken``: the
+    view, in the frame that was taken and no other. ``spread`` of the ``count`` views. ``size``: the pictures'.
+    ``verdict``: of the newest fit; ``so_far``: what can be said of the views without one.
     """
 
     phase: Phase
@@ -50,6 +51,7 @@ class Guidance:
     spread: Spread | None = None
     missing: tuple[Wish, ...] = ()
     verdict: Verdict | None = None
+    so_far: Verdict | None = None
 
     def document(self) -> dict[str, Any]:
         """For programs (JSON): polygons as lists of points, coverage as rows of counts."""
@@ -71,6 +73,7 @@ class Guidance:
             "tilts_wanted": WANTED_PER_TILT,
             "missing": [item.code for item in self.missing],
             "verdict": None if self.verdict is None else self.verdict.sentence,
+            "lacks": [] if self.so_far is None else [reason.words for reason in self.so_far.reasons],
         }
 
 

@@ -20,7 +20,7 @@ from common.calibration.diversity import SAME_SHARE, Stance, difference, distinc
 from common.calibration.engine import MOST_VIEWS, Outcome
 from common.calibration.ghost import ghost, hints, outline_of
 from common.calibration.guidance import NEXT_PHASES, Guidance, Phase
-from common.calibration.verdict import GOOD_VIEWS, judge_views, where
+from common.calibration.verdict import GOOD_VIEWS, judge_views, verdict, where
 from common.calibration.views import View
 from common.calibration.wishes import TILTS, Wish, in_words, place_of, tilt_counts, wishes
 from common.geometry import CameraModel
@@ -53,6 +53,7 @@ class Guide:
         self._answer: Guidance | None = None
         self._outcome: Outcome | None = None
         self._judged_at = 0
+        self._demanded = False
         self._summarise()
 
     @property
@@ -89,8 +90,25 @@ class Guide:
         self._summarise()
         return self._guidance(outcome.verdict.sentence)
 
+    def demand(self) -> None:
+        """The operator asks for a view now: the next frame is taken or refused whether or not the board is still."""
+        self._demanded = True
+
+    def drop_last(self) -> Guidance:
+        """Take back the newest view; what is missing is told without it."""
+        if self.done or not self._views:
+            return self._guidance("there is no view to drop", "nothing_to_drop")
+        gone = self._views.pop()
+        self._judged_at, self._answer = 0, None
+        self._trail.clear()
+        self._summarise()
+        if self._phase != "looking":
+            self._enter("looking")
+        return self._guidance(f"{gone.name} is dropped; {self._next_words()}", "dropped")
+
     def look(self, found: View | Miss, at_ns: int) -> Guidance:
         """What a frame, taken at ``at_ns`` (any clock that never runs backwards), changes."""
+        demanded, self._demanded = self._demanded, False
         if self.done:
             return self._guidance("the calibration is over")
         if isinstance(found, Miss):
@@ -101,12 +119,14 @@ class Guide:
             return self._refuse_size(found)
         drawn = outline_of(self._board, found, self._camera)
         held = self._held(found, at_ns)
-        if held < 1.0:
+        if held < 1.0 and not demanded:
             self._answer = None
             self._enter("holding" if len(self._trail) > 1 else "moving")
             words = "hold it" if held > 0 else self._correction(found, drawn)
             return self._guidance(words, held=held, drawn=drawn)
-        if self._answer is not None:  # already answered for this pose; nothing more until the board moves
+        if (
+            self._answer is not None and not demanded
+        ):  # already answered for this pose; nothing more until the board moves
             return replace(self._answer, outline=drawn, taken=None)
         self._enter("holding")
         answer = self._decide(found, drawn)
@@ -178,7 +198,8 @@ class Guide:
         self._seen = spread(self._views, self._camera)
         self._missing = wishes(self._seen) or self._asked_for()
         different = len(distinct(self._views)[0])
-        self._complete = bool(self._views) and not judge_views(self._views, different, self._seen)
+        self._so_far = verdict(judge_views(self._views, different, self._seen))
+        self._complete = bool(self._views) and self._so_far.level == "good"
 
     def _asked_for(self) -> tuple[Wish, ...]:
         """What a verdict that isn't good calls for, once all that can be told without it is there."""
@@ -242,8 +263,8 @@ class Guide:
     ) -> Guidance:
         wish = self._missing[0] if self._missing and not self.done else None
         shape = None if wish is None else ghost(self._board, wish, self._camera)
-        verdict = None if self._outcome is None else self._outcome.verdict
+        known = None if self._outcome is None else self._outcome.verdict
         return Guidance(
             self._phase, words, self._size, code, held, wish, shape, drawn, taken, len(self._views), self._seen,
-            self._missing, verdict,
+            self._missing, known, self._so_far,
         )  # fmt: skip

@@ -2,9 +2,13 @@
 
 from __future__ import annotations
 
+from pathlib import Path
 from typing import Literal
 
-from pydantic import BaseModel, ConfigDict
+from pydantic import BaseModel, ConfigDict, ValidationError
+
+from common.config.problems import Problems
+from common.config.tree import read_tree
 
 
 class Quality(BaseModel):
@@ -34,3 +38,15 @@ class Quality(BaseModel):
     covered_percent: float = 0.0
     tilts_span_deg: float = 0.0
     board_bent_mm: float = 0.0
+
+
+def read_quality(path: Path) -> Quality | None:
+    """What a calibration file says of its own quality; None for one that says nothing (or is another's format)."""
+    tree = read_tree(path, Problems(path), "calibration file")
+    found = None if tree is None else tree.child("quality")
+    if found is None:
+        return None
+    try:
+        return Quality.model_validate(found.plain())
+    except ValidationError:
+        return None

@@ -9,7 +9,7 @@ from fastapi import FastAPI, Response, WebSocket
 from starlette.responses import RedirectResponse
 
 from common import VERSION
-from services.console import api, rest
+from services.console import api, calibration_api, rest
 from services.console.feeds import Feeds
 from services.console.metrics import Metrics
 from services.console.page import Page, StaticFile
@@ -24,7 +24,7 @@ _FRESH = {"cache-control": "no-cache"}
 _TRY_LATER = 1013
 
 
-class Home(api.Source, Protocol):
+class Home(api.Source, calibration_api.Home, Protocol):
     """What the routes need of the console."""
 
     feeds: Feeds
@@ -36,6 +36,7 @@ def application(home: Home, page: Page, command: Ask) -> FastAPI:
     app = FastAPI(title="tagmill console", version=VERSION, docs_url=None, redoc_url=None)
     app.include_router(rest.router(command))
     app.include_router(api.router(home))
+    app.include_router(calibration_api.router(home))
     add_page(app, page)
 
     @app.websocket("/ws")

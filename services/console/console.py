@@ -23,6 +23,7 @@ from common.messages import (
 from common.service import Context, Report
 from common.topics import CAMERA, FRAME, LABELS, PREVIEW, RECORDING, SAMPLES, SERVICE
 from services.console.app import application
+from services.console.calibrator import Calibrator
 from services.console.catalog import Catalog
 from services.console.feeds import Feeds
 from services.console.guard import Application, Guard, Rules
@@ -57,6 +58,7 @@ class Console:
         self.hub = StateHub()
         self.catalog = Catalog(self.line.ask)
         self.pictures = Pictures()
+        self.calibrator = Calibrator(context.log)
         self.state = State(self.hub)
         self.measured = Metrics(self.state)
         self.feeds = Feeds(loop, self.state.why_no_label, self._listen)
@@ -88,9 +90,10 @@ class Console:
             if task.done() and not task.cancelled():
                 task.result()
 
-    def farewell(self) -> None:
-        """The pages are told that the console ends; the recording goes on."""
+    async def farewell(self) -> None:
+        """The pages are told that the console ends; the recording goes on, a calibration keeps its views."""
         self.hub.end_all("the console is being stopped; a recording goes on without it")
+        await self.calibrator.close()
 
     def close(self) -> None:
         """End tasks and threads; idempotent."""
@@ -136,6 +139,11 @@ class Console:
         seen = self._live.data(self.state.newest_labels(), {}, self.rig).get(name)
         return None if seen is None else (seen["azimuth"], seen["elevation"])
 
+    def camera_state(self, name: str) -> CameraState | None:
+        """What a camera said of itself last."""
+        found = self.state.cameras.get(name)
+        return None if found is None else found[0]
+
     def metrics(self) -> bytes:
         """In Prometheus's text format."""
         self._scraped_ns = clock.monotonic_ns()
@@ -154,6 +162,9 @@ class Console:
     async def _tick(self) -> None:
         while True:
             self._hear_labels_if_needed()
+            self.calibrator.check(clock.monotonic_ns())
+            if self.hub.viewers:
+                self.hub.tell("calibration", self.calibrator.data())
             if self.hub.viewers and self.state.status:
                 self.state.tick()
                 self.hub.tell("coverage", self._live.data(self.state.newest_labels(), self.feeds.sharpness, self.rig))

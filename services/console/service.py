@@ -79,7 +79,7 @@ class ConsoleService:
             return
         try:
             if self._console is not None:
-                self._console.farewell()
+                loop.run_until_complete(self._console.farewell())
             if self._server is not None and self._serving is not None and not self._serving.done():
                 self._server.should_exit = True
                 loop.run_until_complete(asyncio.wait({self._serving}, timeout=_END_S))

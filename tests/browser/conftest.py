@@ -6,6 +6,7 @@ from collections.abc import Iterator
 
 import pytest
 
+from common.boards import Board, write_board
 from tests.support.console_page import PageUnderTest, Site, chromium, console_site
 from tests.support.hygiene import Place, own_place
 
@@ -25,7 +26,10 @@ pose: {ambiguous: keep}
 record: {incomplete: keep}
 cameras:
   cam0: {driver: synthetic, width: 640, height: 360, fps: 8, depth: true, seed: 3, prerendered: 24}
+  bench: {driver: synthetic, width: 640, height: 480, fps: 8, board: board.yaml, speed: 2.5, focal_px: 460}
 """
+BOARD = Board(kind="charuco", columns=8, rows=6, square_mm=30, marker_mm=22, family="5x5_250")
+"""What `bench` is shown."""
 
 
 @pytest.fixture(scope="package")
@@ -48,7 +52,8 @@ def running(shared_place: Place, tmp_path_factory: pytest.TempPathFactory) -> It
     folder = tmp_path_factory.mktemp("console")
     rig = folder / "rig.yaml"
     rig.write_text(RIG)
-    with console_site(rig, folder / "dataset" / "browser", "cam0") as site:
+    write_board(folder / "board.yaml", BOARD)
+    with console_site(rig, folder / "dataset" / "browser", "cam0", "bench") as site:
         yield site
 
 

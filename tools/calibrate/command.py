@@ -14,15 +14,17 @@ from rich.progress import Progress
 
 from common.calibration import ALL_MODELS, Miss, Outcome, Reason, View, calibrate
 from common.calibration.candidates import steps
+from common.calibration.kept import Places, places, save_views
 from common.calibration.verdict import verdict
 from common.config import read_calibration, write_calibration
 from common.errors import EXIT_OK, EXIT_REFUSED, ConfigError, RefusedError
 from tools.calibrate import convert, extrinsics
 from tools.calibrate.board_options import add_board_options
+from tools.calibrate.events import Events
 from tools.calibrate.gather import Gathered, gather
 from tools.calibrate.measured import HONEST, judge_measured, parse_measured
 from tools.calibrate.report import write_report
-from tools.calibrate.result import Places, document, label_of, places, quality_of, save_views
+from tools.calibrate.result import document, label_of, quality_of
 from tools.calibrate.words import said
 
 EXIT_INTERRUPTED = 130
@@ -35,6 +37,10 @@ def add_parser(parser: argparse.ArgumentParser) -> None:
     source.add_argument("--video", type=Path, metavar="FILE", help="a video; at most 300 frames of it are looked at")
     source.add_argument("--views", type=Path, metavar="FILE", help="go on with the views that an earlier run kept")
     source.add_argument("--live", action="store_true", help="go on live with the views that --views names")
+    source.add_argument(
+        "--events", action="store_true",
+        help="live, for a program that shows it: what happens as JSON lines, orders (take, drop, finish) on stdin",
+    )  # fmt: skip
     add_board_options(parser)
     parser.add_argument("--camera", metavar="NAME", help="the camera's name in the rig; needed for live views")
     parser.add_argument("--serial", metavar="S", help="the camera's serial number: the file then fits no other")
@@ -63,11 +69,13 @@ def run(args: argparse.Namespace) -> int:
         return extrinsics.run(args)
     measured = None if args.measured is None else parse_measured(args.measured)
     _check_figures(args)
-    found, got = _gathered(args)
+    events = Events() if args.events else None
+    args.json = args.json or args.events
+    found, got = _gathered(args, events)
     if got.interrupted:
         return _interrupted(found, got, quiet=args.json)
     try:
-        outcome = _calibrated(args, got.views, got.misses)
+        outcome = _calibrated(args, got.views, got.misses, events)
     except KeyboardInterrupt:
         return _interrupted(found, got, quiet=args.json)
     told = [f"the camera stopped: {got.stopped_by}"] if got.stopped_by else []
@@ -89,9 +97,9 @@ def _check_figures(args: argparse.Namespace) -> None:
             )
 
 
-def _gathered(args: argparse.Namespace) -> tuple[Places, Gathered]:
+def _gathered(args: argparse.Namespace, events: Events | None) -> tuple[Places, Gathered]:
     """The views, which are kept first of all."""
-    got = gather(args)
+    got = gather(args, events)
     args.camera = args.camera or "camera"
     args.serial = args.serial or got.serial
     found = places(got.out, args.camera, _most_common_size(got.views))
@@ -100,17 +108,26 @@ def _gathered(args: argparse.Namespace) -> tuple[Places, Gathered]:
     return found, got
 
 
-def _calibrated(args: argparse.Namespace, views: Sequence[View], misses: Sequence[Miss]) -> Outcome:
+def _calibrated(
+    args: argparse.Namespace, views: Sequence[View], misses: Sequence[Miss], events: Events | None
+) -> Outcome:
     models = tuple(args.model or ALL_MODELS)
     console = Console(stderr=True)
+    total = steps(models)
     with Progress(console=console, transient=True, disable=args.json or not console.is_terminal) as progress:
-        task = progress.add_task("comparing lens models", total=steps(models))
+        task = progress.add_task("comparing lens models", total=total)
+
+        def tick() -> None:
+            progress.advance(task)
+            if events is not None:
+                events.progress(int(progress.tasks[0].completed), total)
+
         return calibrate(
             views,
             models=[name for name in ALL_MODELS if name in models],
             distance_mm=args.distance_mm,
             extra=missed_reasons(views, misses),
-            tick=lambda: progress.advance(task),
+            tick=tick,
         )
 
 

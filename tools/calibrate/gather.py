@@ -8,14 +8,15 @@ from pathlib import Path
 
 from common.boards import Board
 from common.calibration import ALL_MODELS, Miss, View
+from common.calibration.kept import FOLDER, load_views, places
 from common.config import Rig, load_rig
 from common.errors import CameraError, ConfigError, RefusedError
 from tools.calibrate.board_options import chosen_board
+from tools.calibrate.events import Events
 from tools.calibrate.feed import Feed
 from tools.calibrate.guided_view import GuidedView
 from tools.calibrate.live import Session, endpoints_of
 from tools.calibrate.pictures import Pictures, frames_of, pictures_of
-from tools.calibrate.result import load_views, places
 from tools.calibrate.search import find_views
 
 
@@ -51,11 +52,16 @@ class Gathered:
         return [f"to use it, {where}, and restart its capture process (`tagmill down`, `tagmill up`)"]
 
 
-def gather(args: argparse.Namespace) -> Gathered:
-    """All views that the arguments ask for. Raises ConfigError, RefusedError, CameraError."""
+def gather(args: argparse.Namespace, events: Events | None = None) -> Gathered:
+    """All views that the arguments ask for; ``events``: to whom a live session is told, instead of the terminal.
+
+    Raises ConfigError, RefusedError, CameraError.
+    """
     offline = args.images is not None or args.video is not None
     if args.live and offline:
         raise ConfigError("--live takes views from a running camera; leave --images and --video out")
+    if events is not None and (offline or (args.views is not None and not args.live)):
+        raise ConfigError("--events is for live views; leave --images and --video out, and give --live with --views")
     board, views = (None, []) if args.views is None else load_views(args.views)
     if args.board is not None or board is None:
         given = chosen_board(args)
@@ -67,7 +73,7 @@ def gather(args: argparse.Namespace) -> Gathered:
             "where are the pictures? --camera NAME (live), --images DIR, --video FILE, or --views FILE from earlier"
         )
     if args.live or not (offline or args.views is not None):
-        return _live(args, board, views)
+        return _live(args, board, views, events)
     return _searched(args, Gathered(board, views, out=args.out))
 
 
@@ -87,7 +93,7 @@ def _searched(args: argparse.Namespace, gathered: Gathered) -> Gathered:
     return gathered
 
 
-def _live(args: argparse.Namespace, board: Board, views: list[View]) -> Gathered:
+def _live(args: argparse.Namespace, board: Board, views: list[View], events: Events | None) -> Gathered:
     """Guided, from a camera of the rig; its files go beside the rig, which names them."""
     if args.camera is None:
         raise ConfigError("which camera? --camera NAME, as it is called in the rig file")
@@ -95,7 +101,7 @@ def _live(args: argparse.Namespace, board: Board, views: list[View]) -> Gathered
         raise ConfigError("no rig file: name one with --rig, or go to the folder that has a rig.yaml")
     rig = load_rig(args.rig)
     rig.camera(args.camera)
-    out = args.out or rig.folder / "calibration"
+    out = args.out or rig.folder / FOLDER
     session = Session(
         board,
         lambda size: places(out, args.camera, size),
@@ -106,11 +112,14 @@ def _live(args: argparse.Namespace, board: Board, views: list[View]) -> Gathered
     taken = session.taken
     try:
         with (
-            endpoints_of(rig, args.camera) as (endpoints, process),
+            endpoints_of(rig, args.camera, only_running=events is not None) as (endpoints, process),
             Feed(endpoints, args.camera) as feed,
             GuidedView(args.camera, quiet=args.json) as view,
         ):
-            taken = session.run(feed, view.show, process)
+            if events is None:
+                taken = session.run(feed, view.show, process)
+            else:
+                taken = session.run(feed, events.show, process, events.orders)
     except CameraError as error:
         if len(taken.views) == len(views):
             raise

@@ -9,8 +9,8 @@ import numpy as np
 
 from common.boards import Board
 from common.calibration import Miss, Outcome, Solution
+from common.calibration.kept import board_words
 from tools.calibrate.maps import coverage_map, projection_map, residual_map
-from tools.calibrate.result import board_words
 from tools.report.page import Page
 from tools.report.plot import Axis, Series, plot
 

@@ -15,8 +15,11 @@ async function ask(path, options = {}, timeout_ms = QUICK_MS) {
 export const getJson = (path) => ask(path);
 
 /** One command; the answer as the command socket gave it, or a refusal in the same form. */
-export async function command(name, fields = {}, timeout_ms = QUICK_MS) {
-  const {body} = await ask(`/api/commands/${name}`, {
+export const command = (name, fields = {}, timeout_ms = QUICK_MS) => post(`/api/commands/${name}`, fields, timeout_ms);
+
+/** JSON to an address of the console; its answer, or a refusal in the same form. */
+export async function post(path, fields = {}, timeout_ms = QUICK_MS) {
+  const {body} = await ask(path, {
     method: "POST",
     headers: {"content-type": "application/json"},
     body: JSON.stringify(fields),

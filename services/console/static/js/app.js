@@ -61,10 +61,17 @@ function speakState() {
   spokenPhase = phase;
 }
 
+/** An opened sample and a calibration have keys of their own. */
+function scopesNow() {
+  const {view, query} = route.value;
+  if (view === "gallery" && openedSample.value) return SCOPES.opened;
+  return view === "setup" && query.calibrate ? SCOPES.calibrate : SCOPES[view];
+}
+
 function keyDown(event) {
   unlock();
   const target = event.target;
-  const scopes = route.value.view === "gallery" && openedSample.value ? SCOPES.opened : SCOPES[route.value.view];
+  const scopes = scopesNow();
   const found = match({
     key: event.key, code: event.code, shiftKey: event.shiftKey, ctrlKey: event.ctrlKey, altKey: event.altKey,
     metaKey: event.metaKey, repeat: event.repeat, isComposing: event.isComposing,
@@ -88,7 +95,7 @@ function toFilter() {
 
 /** Space is prevented on both ways of the key, or a focused button would still be pressed. */
 function keyUp(event) {
-  const record = SCOPES[route.value.view].includes("record");
+  const record = scopesNow().some((one) => one === "record" || one === "calibrate");
   const own = event.target.matches?.("button:focus-visible, a:focus-visible, input, select, textarea, summary:focus-visible");
   if (event.code === "Space" && record && !own && opened.value === null) event.preventDefault();
 }

@@ -23,6 +23,10 @@ export const KEYS = [
   {key: ".", scope: "record", words: "next camera", command: "camera.next"},
   {key: ",", scope: "record", words: "previous camera", command: "camera.previous"},
   {key: "Digit0", shown: "0", scope: "record", words: "all cameras", command: "camera.all"},
+  {key: "Space", scope: "calibrate", words: "take a view now", command: "take"},
+  {key: "r", scope: "calibrate", words: "take a view now, wherever the focus is", command: "take"},
+  {key: "backspace", shown: "Backspace", scope: "calibrate", words: "drop the last view", command: "calibrate.drop"},
+  {key: "enter", shown: "Enter", scope: "calibrate", words: "finish with the views that there are", command: "calibrate.finish"},
   {key: "h", scope: "live", words: "hold the picture still", command: "hold"},
   {key: "o", scope: "picture", words: "all overlays", command: "overlay.all"},
   {key: "k", scope: "picture", words: "markers", command: "overlay.K"},
@@ -57,12 +61,13 @@ export const SCOPES = {
   coverage: ["all", "record"],
   health: ["all"],
   setup: ["all"],
+  calibrate: ["all", "calibrate"],
   gallery: ["all", "grid", "gallery"],
   opened: ["all", "gallery", "picture", "opened"],
 };
 
 export const SCOPE_TITLES = {
-  all: "Everywhere", record: "Live and Coverage", live: "Live", picture: "Picture", grid: "Gallery",
+  all: "Everywhere", record: "Live and Coverage", live: "Live", calibrate: "Calibration", picture: "Picture", grid: "Gallery",
   gallery: "Chosen samples", opened: "Opened sample",
 };
 
@@ -82,7 +87,7 @@ export const shown = (entry) => entry.shown ?? (entry.key.length === 1 ? entry.k
 
 /** For aria-keyshortcuts: every key of a command. */
 export const shortcuts = (command) =>
-  KEYS.filter((one) => one.command === command).map((one) => shown(one).replace(" ", "+").replace("Ctrl", "Control")).join(" ");
+  [...new Set(KEYS.filter((one) => one.command === command).map((one) => shown(one).replace(" ", "+").replace("Ctrl", "Control")))].join(" ");
 
 /** Latin letter by what is typed; on a Greek or Cyrillic keyboard, and for digits, by where the key is. */
 export function nameOf(event) {

@@ -7,6 +7,7 @@ export const connectionWhy = signal("");
 export const topics = {
   status: signal(null), record: signal(null), labels: signal({}), coverage: signal({}),
   disk: signal(null), session: signal(null), auto: signal(null),
+  calibration: signal(null),
 };
 export const rig = signal(null);
 export const words = signal({});
@@ -45,6 +46,10 @@ export const theme = kept("theme", "auto");
 export const overlays = kept("overlays", {on: true, K: true, B: true, W: false, C: true, D: true, E: true, P: true});
 export const settings = kept("settings", {mode: "one", count: 5, every_s: 1, sound: true, singleKeys: true, tile: 200});
 export const camera = kept("camera", "");
+/** The board as it was described last. */
+export const board = kept("board", {kind: "charuco"});
+/** The camera for which another calibration shall begin although one has just ended. */
+export const calibrateAnew = signal(null);
 export const kind = signal("rgb");
 export const split = signal(false);
 export const divider = signal(50);

@@ -190,3 +190,32 @@ def test_what_it_says_is_plain_data_for_programs(operator: Operator) -> None:
     assert sum(map(sum, document["cells"])) == 54
     assert document["tilts"]["straight"] == 1
     assert document["next"]["code"] == document["missing"][0] == "tilt_right"
+
+
+def test_a_view_that_is_asked_for_is_taken_at_once_and_can_be_dropped(operator: Operator) -> None:
+    guide = operator.guide
+    operator.show(operator.view(operator.stand()))
+    guide.demand()
+    told = operator.show(operator.view(operator.stand(place=(0.3, 0.3))))
+    assert (told.phase, told.count) == ("taken", 1)
+    guide.demand()
+    told = operator.show(Miss("", "no_board", "no board found"))
+    assert (told.phase, told.code) == ("looking", "no_board")
+    assert operator.show(operator.view(operator.stand())).phase == "moving", "a demand is for one frame"
+    guide.demand()
+    told = operator.show(operator.view(operator.stand(place=(0.3, 0.3))))
+    assert (told.phase, told.code) == ("refused", "near_duplicate")
+    told = guide.drop_last()
+    assert (told.phase, told.code, told.count, guide.views) == ("looking", "dropped", 0, ())
+    assert guide.drop_last().code == "nothing_to_drop"
+    guide.demand()
+    assert operator.show(operator.view(operator.stand(place=(0.3, 0.3)))).count == 1
+
+
+def test_what_the_views_lack_is_told_before_there_is_a_fit(operator: Operator) -> None:
+    lacks = operator.show(Miss("", "no_board", "no board found")).document()["lacks"]
+    assert lacks == ["there are only 0 different views; take 10 or more"]
+    told = operator.hold(operator.stand())[-1]
+    assert told.so_far is not None
+    assert told.so_far.level == "not yet"
+    assert told.document()["lacks"][0].startswith("there are only 1 different views")

@@ -13,13 +13,13 @@ import yaml
 
 from common.boards import Board
 from common.calibration import View
+from common.calibration.kept import save_views
 from common.config import read_calibration
 from common.config.quality import Quality
 from common.labels import CameraLabel
 from tests.unit.common.calibration.synthetic import Camera
 from tools.calibrate import search
 from tools.calibrate.convert import write_as
-from tools.calibrate.result import save_views
 from tools.cli import main
 
 BOARD = Board(kind="chessboard", columns=9, rows=6, square_mm=25)

@@ -136,9 +136,10 @@ export const place = ([x, y], scale) => [(x + 0.5) * scale, (y + 0.5) * scale];
 export function paint(context, list, {width, height, scale, ratio}) {
   context.clearRect(0, 0, width, height);
   context.lineJoin = context.lineCap = "round";
-  const order = {line: 0, ring: 1, dot: 2, chip: 3};
+  const order = {area: 0, line: 1, ring: 2, dot: 3, chip: 4};
   for (const stroke of [...list].sort((a, b) => order[a.kind] - order[b.kind])) {
-    if (stroke.kind === "line") line(context, stroke, scale, ratio);
+    if (stroke.kind === "area") area(context, stroke, scale);
+    else if (stroke.kind === "line") line(context, stroke, scale, ratio);
     else if (stroke.kind === "chip") chip(context, stroke, {width, height, scale, ratio});
     else circle(context, stroke, scale, ratio);
   }
@@ -157,6 +158,15 @@ function line(context, {points, closed, colour, width, dash = [], fill}, scale, 
   context.setLineDash(dash.map((part) => part * ratio));
   stroke(context, width, colour, ratio);
   context.setLineDash([]);
+}
+
+function area(context, {points, colour}, scale) {
+  context.beginPath();
+  points.forEach((point, i) => context[i ? "lineTo" : "moveTo"](...place(point, scale)));
+  context.globalAlpha = 0.22;
+  context.fillStyle = colour;
+  context.fill();
+  context.globalAlpha = 1;
 }
 
 function circle(context, {kind, at, radius, colour}, scale, ratio) {

@@ -10,9 +10,13 @@ const SPLIT_STALE_MS = 3000;
 const KEPT = 12;
 
 export class Painter {
-  /** `root` holds the canvases; `follows`: frames are kept and drawn when `show` names them (the split's left side). */
-  constructor(root, {id, camera, kind, chosen = null, follows = false, onDrawn = null}) {
-    Object.assign(this, {root, id, camera, kind, chosen, follows, onDrawn});
+  /**
+   * `root` holds the canvases; `follows`: frames are kept and drawn when `show` names them (the split's left side);
+   * `extra`: makes what is drawn, instead of the label, of what `guide` was given last.
+   */
+  constructor(root, {id, camera, kind, chosen = null, follows = false, onDrawn = null, extra = null}) {
+    Object.assign(this, {root, id, camera, kind, chosen, follows, onDrawn, extra});
+    this.guidance = null;
     [this.picture, this.over] = root.querySelectorAll("canvas");
     this.pending = null;
     this.latest = 0;
@@ -142,8 +146,15 @@ export class Painter {
       over.height = height;
     }
     const show = state.overlays.peek();
-    const list = show.on && !root.hasAttribute("data-stale") ? strokes(header.label, show, this.chosen) : [];
+    const own = this.extra ? this.extra(this.guidance) : show.on ? strokes(header.label, show, this.chosen) : [];
+    const list = root.hasAttribute("data-stale") ? [] : own;
     paint(over.getContext("2d"), list, {width, height, scale: width / w, ratio});
+  }
+
+  /** Draw this over the picture from now on. */
+  guide(guidance) {
+    this.guidance = guidance;
+    this.overlay();
   }
 
   /** Twice a second: how old, how many a second; a picture older than a second is dimmed. */

@@ -27,7 +27,7 @@ function usePainter(root, options, deps, whenReady) {
 }
 
 /** What is wrong with the picture, in words over it; nothing while all is well. */
-function Trouble({camera, header}) {
+function Trouble({camera, header, labels = true}) {
   const phase = state.topics.status.value?.cameras?.[camera];
   if (state.heldStill.value) return html`<p class="trouble held">Held still at ${header ? timeOfDay(Date.now() - header.age_ms) : ""} · press H to go on</p>`;
   if (!header || header.stale) {
@@ -37,7 +37,7 @@ function Trouble({camera, header}) {
     if (!header && !why) return html`<p class="trouble quiet">${gone}</p>`;
     return html`<p class="trouble"><strong>${gone}</strong> ${why}</p>`;
   }
-  if (header.late) {
+  if (labels && header.late) {
     const title = state.words.value[header.why]?.title ?? "Labels are late.";
     return html`<p class="trouble chiplike">${title} Overlays are hidden.</p>`;
   }
@@ -55,12 +55,17 @@ export function Caption({camera, kind, header}) {
 }
 
 /** `big`: the one that the keys and the record button mean. */
-export function Stage({id, camera, kind = "rgb", big = false, chosen = null}) {
+export function Stage({id, camera, kind = "rgb", big = false, chosen = null, extra = null, guidance = null}) {
   const root = useRef();
+  const own = useRef(null);
   const header = state.drawn.value[id];
-  usePainter(root, {id, camera, kind, chosen}, [id, camera, kind, chosen], (painter) => { if (big) bigPicture.painter = painter; });
+  usePainter(root, {id, camera, kind, chosen, extra}, [id, camera, kind, chosen, extra], (painter) => {
+    own.current = painter;
+    if (big) bigPicture.painter = painter;
+  });
+  useEffect(() => { own.current?.guide(guidance); }, [guidance, extra]);
   return html`<div class="stage" ref=${root} tabindex="-1" role="img" data-view=${id} data-kind=${kind} aria-label=${useSentence(camera, header)}>
-    <${Canvases} /><${Trouble} camera=${camera} header=${header} /></div>`;
+    <${Canvases} /><${Trouble} camera=${camera} header=${header} labels=${!extra} /></div>`;
 }
 
 /** Renewed at most every two seconds. */

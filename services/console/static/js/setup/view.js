@@ -4,6 +4,8 @@ import * as state from "../state.js";
 import {span, timeOfDay} from "../format.js";
 import {FACE_COLOURS, FACE_LETTERS} from "../live/overlay.js";
 import {Stage} from "../live/stage.js";
+import {route} from "../route.js";
+import {Calibrate} from "./calibrate.js";
 
 const FROM = {
   calibration: ["check", "calibrated", true], factory: ["check", "the factory's calibration", true], truth: ["check", "rendered, so it is exact", true],
@@ -53,7 +55,7 @@ function Camera({name, rig, now}) {
       <dt>Picture</dt><dd class="number">${now ? `${now.width}×${now.height} at ${now.fps}/s${now.depth ? ", with depth" : ""}` : "–"}</dd>
       ${now?.serial && html`<dt>Serial</dt><dd><code>${now.serial}</code></dd>`}
       <dt>Calibration</dt><dd><span class=${ok ? "good" : "warn"}><${Icon} name=${icon} /> ${words}</span>${file && html`<br /><code>${file}</code>`}</dd></dl>
-    ${isGuess(now) && html`<p class="small">Calibrate it with pictures of a board: <code>tagmill calibrate</code>, then name the file in the rig file.</p>`}</div></li>`;
+    <p><a class="button" href=${`/setup?calibrate=${encodeURIComponent(name)}`}>${isGuess(now) ? "Calibrate it, about 3 minutes" : "Calibrate"}<span class="visually-hidden"> ${name}</span></a></p></div></li>`;
 }
 
 function ObjectCard({object}) {
@@ -75,6 +77,8 @@ function ago(iso) {
 }
 
 export function Setup() {
+  const {calibrate} = route.value.query;
+  if (calibrate) return html`<${Calibrate} key=${calibrate} camera=${calibrate} />`;
   const cameras = camerasNow();
   const objects = state.rig.value?.objects ?? [];
   const markers = objects.flatMap(markersOf);

@@ -19,7 +19,7 @@ test("no letter means one thing in one view and another elsewhere; only Space, E
     meanings.set(name, (meanings.get(name) ?? new Set()).add(what));
   }
   const double = [...meanings].filter(([, all]) => all.size > 1).map(([name]) => name.split("/")[0]);
-  assert.deepEqual([...new Set(double)].sort(), ["Space", "arrowleft", "arrowright"]);
+  assert.deepEqual([...new Set(double)].sort(), ["Space", "arrowleft", "arrowright", "enter"]);
 });
 
 test("every scope has a title and belongs to a view", () => {
