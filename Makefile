@@ -8,6 +8,10 @@ OTHER_VENV := .venv-opencv5
 OTHER_STAMP := $(OTHER_VENV)/.ready
 PROOF_VENV := .venv-proof
 PROOF_STAMP := $(PROOF_VENV)/.ready
+LOADERS_VENV := .venv-loaders
+LOADERS_STAMP := $(LOADERS_VENV)/.ready
+# Ultralytics (AGPL-3.0) is asked here and nowhere else, and without its own OpenCV, which would overwrite ours.
+LOADERS := torch==2.14.1 torchvision==0.29.1 matplotlib requests scipy polars
 # Pinned: another version trains otherwise. PyPI's PyTorch for Linux brings CUDA along (6 GB), though only the CPU is used.
 TRAINER := libreyolo==1.6.0 torch==2.14.1 torchvision==0.29.1
 # Compiled modules are kept, whatever the environment says: each service starts in two thirds of the time.
@@ -37,8 +41,9 @@ run: $(STAMP) ## start the stack with the rig of RIG=... (default: the synthetic
 test: $(STAMP) ## everything but the long runs (under 10 minutes on 2 cores)
 	$(BIN)/python -m pytest -m 'not long' -n 3
 
-test-long: $(STAMP) $(OTHER_STAMP) ## the long runs, and all others on OpenCV 5
-	$(BIN)/python -m pytest -m long
+test-long: $(STAMP) $(OTHER_STAMP) $(LOADERS_STAMP) ## the long runs, all others on OpenCV 5, and those that ask others' loaders
+	$(BIN)/python -m pytest -m 'long and not loaders'
+	$(LOADERS_VENV)/bin/python -m pytest -m loaders
 	$(OTHER_VENV)/bin/python -m pytest -m 'not long' -n 2
 
 $(OTHER_STAMP): pyproject.toml requirements.lock
@@ -46,6 +51,13 @@ $(OTHER_STAMP): pyproject.toml requirements.lock
 	$(OTHER_VENV)/bin/pip install --quiet --upgrade pip
 	grep -v '^opencv' requirements.lock > $(OTHER_VENV)/requirements.lock
 	$(OTHER_VENV)/bin/pip install --quiet --constraint $(OTHER_VENV)/requirements.lock --editable '.[$(EXTRAS)]' 'opencv-contrib-python-headless>=5,<6'
+	@touch $@
+
+$(LOADERS_STAMP): pyproject.toml requirements.lock
+	$(PYTHON) -m venv $(LOADERS_VENV)
+	$(LOADERS_VENV)/bin/pip install --quiet --upgrade pip
+	$(LOADERS_VENV)/bin/pip install --quiet --constraint requirements.lock --editable '.[dev,check,view]' $(LOADERS)
+	$(LOADERS_VENV)/bin/pip install --quiet --no-deps 'ultralytics>=8.4,<9'
 	@touch $@
 
 fuzz: $(STAMP) ## hostile input for every parser, SECONDS=60 each, led by coverage (atheris, Python 3.11 to 3.13)
@@ -74,4 +86,4 @@ docs: $(STAMP) ## write the generated pages (topics, command socket, label schem
 	$(BIN)/python -m tools.docs
 
 clean: ## remove what the targets made
-	rm -rf $(VENV) $(OTHER_VENV) $(PROOF_VENV) build dist *.egg-info .mypy_cache .ruff_cache .pytest_cache demo-out proof-out
+	rm -rf $(VENV) $(OTHER_VENV) $(LOADERS_VENV) $(PROOF_VENV) build dist *.egg-info .mypy_cache .ruff_cache .pytest_cache demo-out proof-out

@@ -91,6 +91,8 @@ WORDS: dict[str, Words] = {
         "There is nothing to undo.", "Deleted samples are listed by 'tagmill dataset list --bin'."
     ),
     "session_exists": Words("There is such a session already.", "Choose another name with --into."),
+    "no_rerun": Words("The viewer can't be opened."),
+    "no_screen": Words("The viewer can't be opened."),
     "no_original": Words("The originals were not kept.", "Record with 'dataset: {keep_original: true}' next time."),
     "no_dictionary": Words("The session's marker dictionary isn't there.", "Name the rig file with --rig."),
     "no_class": Words("There is no such class.", "'tagmill inspect SESSION' lists them."),

@@ -44,6 +44,7 @@ SUB_COMMANDS = (
     SubCommand(
         "inspect", "tools.inspect.command", "what is in a session, which samples look wrong, which files are broken"
     ),
+    SubCommand("view", "tools.view.command", "look at a session in the Rerun viewer, or write a file for it"),
     SubCommand(
         "relabel",
         "tools.relabel.command",

@@ -131,6 +131,7 @@ def running(stack: Stack, tmp_path: Path) -> Iterator[tuple[CommandClient, Overl
             detector.close()
 
 
+@pytest.mark.timeout(300)
 def test_an_overlooked_box_is_interpolated_or_refused_by_name(
     running: tuple[CommandClient, Overlooking], stack: Stack, tmp_path: Path
 ) -> None:

@@ -1,0 +1,1 @@
+"""`tagmill view`: a session in the Rerun viewer."""
