@@ -165,6 +165,8 @@ _DISTORTION_LENGTHS = (0, 4, 5, 8, 12, 14)
 class SyntheticOptions(Section):
     """Keys of ``driver: synthetic``. The scene moves on a path that follows from ``seed``.
 
+    ``pace: consumer``: the next frame comes as soon as the one before is labelled, to see what a machine can do.
+
     ``view``: degrees by which this camera went round the scene's middle; cameras of one seed see one scene.
     ``board``: a calibration board's description; the camera shows that board, held at one pose after another, and no
     object. ``light`` and ``clutter``: 0 even and unchanging, bare ... 1 one lamp that wanders, much lies and hangs
@@ -187,6 +189,7 @@ class SyntheticOptions(Section):
     view: Annotated[float, Field(ge=-180, le=180)] = 0.0
     frames: Annotated[int, Field(ge=1)] | None = None
     prerendered: Annotated[int, Field(ge=0, le=10000)] = 0
+    pace: Literal["fps", "consumer"] = "fps"
 
     @field_validator("distortion")
     @classmethod

@@ -47,9 +47,9 @@ class Camera:
         return self._waiting is not None and self.state is not None
 
     @property
-    def paced(self) -> bool:
-        """Whether the camera waits for each frame's label."""
-        return self.state is not None and self.state.paced
+    def patient(self) -> bool:
+        """Whether it gives pictures of a file and waits for each one's label: there is time to look closely."""
+        return self.state is not None and self.state.paced and self.state.driver == "files"
 
     def heard(self, state: CameraState, now_ns: int) -> None:
         """Take over what the camera says of itself; an outdated ring is unmapped."""

@@ -166,7 +166,7 @@ class DetectService:
         grey = camera.grey(ref)
         if grey is None:
             return
-        detector = self._thorough if camera.paced else self._tracker(camera)
+        detector = self._thorough if camera.patient else self._tracker(camera)
         markers = tuple(detector.detect(grey))
         now = clock.monotonic_ns()
         self._publish(

@@ -6,7 +6,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 
 import cv2
 import numpy as np
@@ -16,6 +16,7 @@ from common import VERSION
 from common.config.models import InpaintConfig, PoseConfig, RecordConfig
 from common.geometry import Box, CameraModel
 from common.labels import CameraLabel, Erased, LeftOut, Missing, ObjectLabel
+from common.laps import Laps, Stopwatch
 from common.markers import Family
 from common.messages import DetectedMarker
 from services.label.covering import covering
@@ -27,7 +28,10 @@ from services.label.regions import regions_on_sides
 
 @dataclass(frozen=True)
 class Finished:
-    """What became of a frame: the exact labels, what was erased, and what the rig says is to be kept nevertheless."""
+    """What became of a frame: the exact labels, what was erased, and what the rig says is to be kept nevertheless.
+
+    ``laps``: what the labels (``refine``) and erasing took.
+    """
 
     objects: tuple[ObjectLabel, ...]
     left_out: tuple[LeftOut, ...]
@@ -35,6 +39,7 @@ class Finished:
     inpainted: Erased
     keep_ambiguous: bool
     keep_incomplete: bool
+    laps: Laps = field(default_factory=dict, compare=False)
 
 
 @dataclass(frozen=True)
@@ -63,14 +68,17 @@ class ExactLabels:
         around: Around,
     ) -> Finished:
         """Label a picture (H, W, 3) exactly and erase its markers in place; ``depth`` (H, W), 0 invalid."""
+        watch = Stopwatch()
         options, model = self._options.inpaint, CameraModel.from_label(camera)
         measured = None if depth is None or depth_unit_mm is None else DepthPicture(depth, depth_unit_mm)
         labelled = self._labeller.label_once(markers, model, bgr, around, measured)
+        watch.lap("refine")
         found = regions_on_sides(
             labelled.objects, labelled.left_out, self._labeller.boxes, model, margin=options.margin
         )
         covered = None if measured is None else covering(found, measured)
         erase(bgr, found, method=options.method, radius_px=options.radius_px, covered=covered)
+        watch.lap("erase")
         return Finished(
             objects=labelled.objects,
             left_out=labelled.left_out,
@@ -82,6 +90,7 @@ class ExactLabels:
             ),
             keep_ambiguous=self._options.pose.ambiguous == "keep",
             keep_incomplete=self._options.record.incomplete == "keep",
+            laps=watch.laps,
         )
 
 

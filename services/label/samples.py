@@ -16,6 +16,7 @@ from common.bus import OrderClient
 from common.errors import NoSpaceError, RefusedError, TagmillError
 from common.frames import FrameView, SampleRing, segment_name
 from common.labels import CameraLabel, DepthLabel, Label, ObjectLabel, SourceDetections
+from common.laps import Laps, StepMeans, Stopwatch
 from common.messages import Answer, Detections, FrameRef, StoreOrder
 from services.label.cameras import Camera
 from services.label.exact import Finished, versions
@@ -41,6 +42,7 @@ class Sample:
     takers: list[Taker]
     camera: CameraLabel
     depth_unit_mm: float | None
+    copied: Laps
     objects: tuple[ObjectLabel, ...] = ()
 
     @property
@@ -70,6 +72,7 @@ class Samples:
         self._rings_made = 0
         self._held = Held()
         self.under_way: dict[str, Sample] = {}
+        self.steps = StepMeans()
 
     def room(self, camera: str) -> bool:
         """Whether a slot is free for this camera (or its ring isn't made yet)."""
@@ -95,9 +98,11 @@ class Samples:
         known = self.under_way.get(name)
         if known is not None:
             return self._join(known, takers)
+        watch = Stopwatch()
         ring, slot = self._keep_pixels(camera, ref)
+        watch.lap("copy")
         state = camera.state
-        sample = Sample(name, ref, ring, slot, takers, state.camera, state.depth_unit_mm)
+        sample = Sample(name, ref, ring, slot, takers, state.camera, state.depth_unit_mm, watch.laps)
         self.under_way[name] = sample
         job = Job(name, ring.name, slot, state.camera, detections.markers, around, state.depth_unit_mm)
         if wait is None:
@@ -183,6 +188,7 @@ class Samples:
             if result is None:
                 yield self._end(sample, "failed", None)
                 continue
+            self.steps.add(sample.copied | result.laps)
             refusal = verdict(result, background=sample.takers[0].background)
             if refusal is not None:
                 yield self._end(sample, refusal.code, refusal.message)

@@ -15,6 +15,7 @@ from common import clock
 from common.bus import OrderClient, OrderServer, Poller, Publisher, Return, Subscriber
 from common.config import load_rig
 from common.errors import ConfigError, FrameLostError, RefusedError
+from common.laps import Stopwatch
 from common.messages import (
     MARKERS,
     Answer,
@@ -62,8 +63,7 @@ class LabelService:
         self._roster = Roster(context.instance, config.workers.label, config.ring.slots, context.log)
         self._returns: dict[str, Return] = {}
         self._recorder = Recorder(self._reply, context.boot)
-        self._dropped = Tally()
-        self._pace = Pace()
+        self._dropped, self._pace = Tally(), Pace()
         self._draining = False
         self._delay_s = float(os.environ.get("TAGMILL_LABEL_DELAY_MS", "0")) / 1000
 
@@ -147,7 +147,7 @@ class LabelService:
             dropped=self._dropped.as_dict(),
             numbers={
                 "backlog": float(len(self._samples.under_way)),
-                **self._pace.latency_ms(),
+                **(self._pace.numbers() | self._samples.steps.as_numbers()),
                 "finisher_restarts": float(self._finisher.restarts),
             },
             faulty=bool(self._samples.under_way) and not self._store.available,
@@ -257,22 +257,22 @@ class LabelService:
         return camera.hold(full and camera.state.paced and self._recorder.needs_every_frame(camera.name))
 
     def _frame(self, camera: Camera, detections: Detections) -> None:
-        began = clock.monotonic_ns()
+        watch = Stopwatch()
         if self._delay_s:
             time.sleep(self._delay_s)  # a slow labelling, asked for by a load test
         labelled = self._streams.label(camera, detections)
-        now = clock.monotonic_ns()
+        watch.lap("label")
+        self._pace.mark(clock.monotonic_ns() - detections.ref.captured_mono_ns, watch.laps)
         labels = Labels(
             ref=detections.ref,
             objects=labelled.objects,
             left_out=labelled.left_out,
             missing=labelled.missing,
-            took_ns=now - began,
+            took_ns=int(watch.laps["label"][0] * 1e6),
         )
         self._publisher.publish(LABELS, (camera.name,), labels)
         measure = partial(self._streams.sharpness, camera, detections.ref, labelled.objects)
         self._recorder.frame(detections, labelled, partial(self._begin, labelled), measure)
-        self._pace.mark(now - detections.ref.captured_mono_ns)
         if self._previews.watched(camera.name):
             self._previews.begin(camera, detections, self._streams.around(camera, detections), self._finisher)
 

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from common import clock
 from common.bus import Publisher
+from common.laps import Laps, StepMeans
 from common.service.meters import Percentiles, Rate
 from common.topics import RECORDING
 from services.label.recorder import Recorder
@@ -42,14 +43,17 @@ class Pace:
     def __init__(self) -> None:
         self.labelled = Rate()
         self._latency = Percentiles()
+        self._steps = StepMeans()
 
-    def mark(self, latency_ns: int) -> None:
-        """A frame was labelled, so long after its capture."""
+    def mark(self, latency_ns: int, laps: Laps) -> None:
+        """A frame was labelled, so long after its capture; ``laps`` are what that took."""
         self.labelled.mark()
         self._latency.add(latency_ns)
+        self._steps.add(laps)
 
-    def latency_ms(self) -> dict[str, float]:
-        """Its percentiles, by name; empty before the first frame."""
+    def numbers(self) -> dict[str, float]:
+        """Percentiles of the latency, and what live labelling takes, by name; empty before the first frame."""
         if not len(self._latency):
             return {}
-        return {f"latency_p{percent}_ms": self._latency.at(percent) / 1e6 for percent in (50, 99)}
+        latency = {f"latency_p{percent}_ms": self._latency.at(percent) / 1e6 for percent in (50, 99)}
+        return latency | self._steps.as_numbers()

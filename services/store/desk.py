@@ -16,6 +16,7 @@ from common.config import Rig, load_rig
 from common.dataset import SessionCamera
 from common.errors import RefusedError, TagmillError
 from common.ids import NAME_PATTERN
+from common.laps import StepMeans
 from common.log import get
 from common.messages import (
     Answer,
@@ -31,7 +32,7 @@ from common.messages import (
     SessionOrder,
     StoreOrder,
 )
-from common.service.meters import Rate, StepMeans, Tally
+from common.service.meters import Rate, Tally
 from services.store.accounts import Accounts, Give
 from services.store.background import DiskThread
 from services.store.choice import Choice, remember
@@ -75,8 +76,7 @@ class OrderDesk:
         self.stored = Rate()
         self.bytes_written = 0
         self.steps = StepMeans()
-        self.newest_order_ns = 0
-        self.newest_answer_ns = 0
+        self.newest_order_ns = self.newest_answer_ns = 0
 
     @property
     def backlog(self) -> int:

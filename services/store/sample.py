@@ -16,7 +16,7 @@ from common.dataset.layout import PICTURES, PictureKind, label_path, picture_pat
 from common.errors import RefusedError
 from common.frames import Pictures
 from common.labels import Label, SampleFiles, StoredFile
-from common.service.meters import Stopwatch
+from common.laps import Stopwatch
 from services.store.disk import require_room
 from services.store.encode import LOSSLESS, Coding
 

@@ -17,8 +17,8 @@ from common.dataset.locks import FolderLock
 from common.errors import FrameLostError, RefusedError
 from common.frames import SampleSlots
 from common.labels import Label
+from common.laps import Laps, Stopwatch
 from common.messages import ErrorInfo
-from common.service.meters import Laps, Stopwatch
 from services.store.encode import LOSSLESS, Coding
 from services.store.sample import is_stored, pictures_for, write_sample
 

@@ -50,12 +50,13 @@ class SyntheticCamera:
         self._next = 0
         self._ahead = [self._render(index * 30 / self._fps) for index in range(options.prerendered)]
         self._pacer = Pacer(self._fps)
+        self._paced = options.pace == "consumer"
 
     def grab(self, timeout_s: float) -> Grabbed:
         """See Camera."""
         if self._options.frames is not None and self._next >= self._options.frames:
             raise EndOfStreamError(f"{self._label.name}: all {self._options.frames} frames were given")
-        if not self._pacer.wait(timeout_s):
+        if not self._paced and not self._pacer.wait(timeout_s):
             raise TimeoutError(f"{self._label.name}: the next frame is due later ({self._fps:g} frames/s)")
         rendered = self._frame(self._next)
         bgr = rendered.bgr
@@ -68,7 +69,8 @@ class SyntheticCamera:
 
     def describe(self) -> Description:
         """See Camera."""
-        return Description(self._label, self._fps, 1.0 if self._options.depth else None, warnings=self._warnings)
+        depth_unit_mm = 1.0 if self._options.depth else None
+        return Description(self._label, self._fps, depth_unit_mm, paced=self._paced, warnings=self._warnings)
 
     def close(self) -> None:
         """See Camera; nothing is held."""
