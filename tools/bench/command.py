@@ -14,6 +14,7 @@ BENCHES = {
     "detect": "tools.bench.detect",
     "render": "tools.bench.render",
     "console": "tools.bench.console",
+    "record": "tools.bench.record",
 }
 
 
