@@ -44,6 +44,7 @@ WORDS: dict[str, Words] = {
     "end_of_stream": Words("The file camera is at its end.", "Start a new recording to play it again."),
     "pixels_gone": Words("The picture was lost before it was saved.", "Try again; the label service was restarted."),
     # --- saving ------------------------------------------------------------------------------------------------
+    "thinned": Words("Some frames are left out, evenly.", "The machine or its disk can't keep up: record slower."),
     "backlog_full": Words("The disk can't keep up.", "Record slower, or wait until the backlog is gone."),
     "store_down": Words(
         "Saving is stopped (store is restarting).", "Nothing recorded so far is lost; try again in a few seconds."

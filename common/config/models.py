@@ -101,10 +101,15 @@ class NetworkConfig(Section):
 
 
 class WorkersConfig(Section):
-    """How many processes share the cameras."""
+    """How many processes share the cameras.
+
+    ``finish``: of each label process, those that make exact labels and erase; ``store``: those that encode and write.
+    """
 
     detect: Annotated[int, Field(ge=1, le=64)] = 1
     label: Annotated[int, Field(ge=1, le=64)] = 1
+    finish: Annotated[int, Field(ge=1, le=64)] = 2
+    store: Annotated[int, Field(ge=1, le=64)] = 2
 
 
 class RingConfig(Section):

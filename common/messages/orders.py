@@ -98,10 +98,12 @@ class ReloadOrder(Order):
 class StoreOrder(Order):
     """Make a sample durable; ``key`` is its name.
 
-    The pixels lie in slot ``slot`` of the sample ring ``ring`` until the answer.
+    The pixels lie in slot ``slot`` of the sample ring ``ring`` until the answer. ``urgent``: somebody waits for just
+    this one, so that it goes before what recordings have waiting.
     """
 
     kind: Literal["store"] = "store"
+    urgent: bool = False
     recording: str | None
     camera: str
     ring: str

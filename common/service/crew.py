@@ -46,6 +46,7 @@ class _Task(Generic[J]):
     key: str
     job: J
     deaths: int = 0
+    first: bool = False
 
 
 @dataclass
@@ -103,9 +104,13 @@ class Crew(Generic[J, R]):
         """The workers' process ids."""
         return tuple(worker.process.pid or 0 for worker in self._workers if not worker.over)
 
-    def submit(self, key: str, job: J) -> None:
-        """Queue a job; ``key`` comes back with its result."""
-        self._waiting.append(_Task(key, job))
+    def submit(self, key: str, job: J, *, first: bool = False) -> None:
+        """Queue a job; ``key`` comes back with its result. ``first``: before all that wait, behind those of its kind.
+
+        What a worker holds already, the job at hand and its next, comes before it.
+        """
+        at = next((place for place, other in enumerate(self._waiting) if not other.first), len(self._waiting))
+        self._waiting.insert(at if first else len(self._waiting), _Task(key, job, first=first))
         self._hand_out()
 
     def finished(self) -> Iterator[tuple[str, R | Failure]]:

@@ -18,6 +18,7 @@ from common.log import get
 from common.markers import family
 from common.messages import DetectedMarker
 from common.service.crew import Crew, Failure
+from common.service.memory import keep_freed_memory
 from services.label.exact import ExactLabels, Finished, Options
 from services.label.labelling import Around
 
@@ -45,8 +46,7 @@ class Finisher:
     The workers get the rig by value: one that is replaced must not read a file that was edited meanwhile.
     """
 
-    def __init__(self, rig: Rig, workers: int = 1) -> None:
-        self._workers = workers
+    def __init__(self, rig: Rig) -> None:
         self._jobs: dict[str, Job] = {}
         self._crew = self._crew_for(rig)
         self._retired: list[Crew[Job, Finished]] = []
@@ -67,10 +67,10 @@ class Finisher:
         """How many workers have died so far."""
         return self._deaths_before + sum(crew.replaced for crew in (self._crew, *self._retired))
 
-    def submit(self, job: Job) -> None:
-        """Begin a job."""
+    def submit(self, job: Job, *, first: bool = False) -> None:
+        """Begin a job; ``first``: before all that wait."""
         self._jobs[job.key] = job
-        self._crew.submit(job.key, job)
+        self._crew.submit(job.key, job, first=first)
 
     def finished(self) -> Iterator[tuple[Job, Finished | None]]:
         """Jobs that ended since the last call; None where the job failed (the reason is in the log)."""
@@ -95,7 +95,7 @@ class Finisher:
             crew.close()
 
     def _crew_for(self, rig: Rig) -> Crew[Job, Finished]:
-        return Crew(_finish, _prepare, (rig,), workers=self._workers, limit_s=_LIMIT_S)
+        return Crew(_finish, _prepare, (rig,), workers=rig.config.workers.finish, limit_s=_LIMIT_S)
 
 
 class _Worker:
@@ -124,6 +124,7 @@ def _prepare(rig: Rig) -> None:
     global _worker
     os.nice(_NICE)
     cv2.setNumThreads(1)
+    keep_freed_memory()
     _worker = _Worker(rig)
 
 

@@ -20,6 +20,7 @@ _REASONS = {
     "object_in_view": "a background sample was asked for, but an object is in view; take it out of the picture",
     "frame_gone": "that frame is no longer in the ring; ask for a newer one or leave `frame` out",
     "frame_lost": "the frame was overwritten before it could be kept; the machine is too slow for this rate",
+    "thinned": "samples come faster than they can be stored; frames are left out evenly until the backlog is gone",
     "backlog_full": "all sample slots wait for the disk; record slower or wait until the backlog is gone",
     "store_down": "saving is stopped because the store doesn't answer; it is restarted by itself, try again",
     "no_frame": "no picture came from the camera; see `tagmill status` for what is wrong with it",

@@ -1,7 +1,8 @@
 """Samples on their way: sample ring → worker (exact labels, erasing) → store → durable.
 
 A sample holds its slot from the moment its pixels are copied until the store has answered, so the number of
-slots is the number of samples that may wait. Nothing leaves this table without an outcome.
+slots is the number of samples that may wait. Nothing leaves this table without an outcome. A single request goes
+before all recordings: it has slots of its own, and its sample overtakes theirs.
 """
 
 from __future__ import annotations
@@ -17,6 +18,7 @@ from common.errors import NoSpaceError, RefusedError, TagmillError
 from common.frames import FrameView, SampleRing, segment_name
 from common.labels import CameraLabel, DepthLabel, Label, ObjectLabel, SourceDetections
 from common.laps import Laps, StepMeans, Stopwatch
+from common.log import get
 from common.messages import Answer, Detections, FrameRef, StoreOrder
 from services.label.cameras import Camera
 from services.label.exact import Finished, versions
@@ -25,6 +27,7 @@ from services.label.held import Held, LookAround, Wait
 from services.label.history import kept
 from services.label.labelling import Around
 from services.label.requests import Recording, Request, explain
+from services.label.thinning import Thinning, reserved
 from services.label.verdict import verdict
 
 Taker = Request | Recording
@@ -40,6 +43,7 @@ class Sample:
     ring: SampleRing
     slot: int
     takers: list[Taker]
+    urgent: bool
     camera: CameraLabel
     depth_unit_mm: float | None
     copied: Laps
@@ -70,14 +74,18 @@ class Samples:
         self.keep_original = keep_original
         self._rings: dict[str, SampleRing] = {}
         self._rings_made = 0
+        self._thinnings: dict[str, Thinning] = {}
         self._held = Held()
         self.under_way: dict[str, Sample] = {}
         self.steps = StepMeans()
 
     def room(self, camera: str) -> bool:
-        """Whether a slot is free for this camera (or its ring isn't made yet)."""
+        """Whether a slot is free for a recording on this camera (or its ring isn't made yet)."""
+        return self._free(camera) > reserved(self._slots)
+
+    def _free(self, camera: str) -> int:
         ring = self._rings.get(camera)
-        return ring is None or ring.free > 0
+        return self._slots if ring is None else ring.free
 
     def begin(
         self,
@@ -91,25 +99,44 @@ class Samples:
         """Copy the frame into a slot and give it to a worker, or have it ``wait`` for the frames after it.
 
         Raises FrameLostError if the frame was overwritten meanwhile, and RefusedError: ``backlog_full``
-        without a free slot, ``no_space`` if shared memory has no room for a sample ring.
+        without a free slot, ``thinned`` if a recording must leave it out, ``no_space`` if shared memory has no room
+        for a sample ring.
         """
         ref = detections.ref
         name = ids.sample_name(ref.captured_wall_ns, ref.camera, ref.frame)
         known = self.under_way.get(name)
         if known is not None:
             return self._join(known, takers)
+        urgent = any(isinstance(taker, Request) for taker in takers)
+        if not urgent:
+            self._require_share(camera)
         watch = Stopwatch()
         ring, slot = self._keep_pixels(camera, ref)
         watch.lap("copy")
         state = camera.state
-        sample = Sample(name, ref, ring, slot, takers, state.camera, state.depth_unit_mm, watch.laps)
+        sample = Sample(name, ref, ring, slot, takers, urgent, state.camera, state.depth_unit_mm, watch.laps)
         self.under_way[name] = sample
         job = Job(name, ring.name, slot, state.camera, detections.markers, around, state.depth_unit_mm)
         if wait is None:
-            finisher.submit(job)
+            finisher.submit(job, first=urgent)
         else:
             self._held.add(job, wait)
         return sample
+
+    def _require_share(self, camera: Camera) -> None:
+        """Raise RefusedError if recordings must do without this frame. A paced camera waits instead (``room``)."""
+        free = self._free(camera.name)
+        if camera.state.paced:
+            if not self.room(camera.name):
+                raise RefusedError(explain("backlog_full"), code="backlog_full")
+            return
+        thinning = self._thinnings.setdefault(camera.name, Thinning(self._slots))
+        before, taken = thinning.active, thinning.takes(free)
+        if thinning.active is not before:
+            get().warning("recording.thinned", camera=camera.name, begins=thinning.active, waiting=self._slots - free)
+        if not taken:
+            code = "thinned" if thinning.share(free) else "backlog_full"
+            raise RefusedError(explain(code), code=code)
 
     @staticmethod
     def _join(sample: Sample, takers: list[Taker]) -> Sample:
@@ -117,6 +144,7 @@ class Samples:
         if sample.takers[0].background is not takers[0].background:
             raise RefusedError(explain("not_due"), code="not_due")
         sample.takers += takers
+        sample.urgent = sample.urgent or any(isinstance(taker, Request) for taker in takers)
         return sample
 
     @property
@@ -127,7 +155,7 @@ class Samples:
     def go_on(self, look: LookAround, newest: Callable[[str], int], finisher: Finisher, *, all_: bool = False) -> None:
         """Give waiting samples whose objects were seen again (or ``all_``) to a worker."""
         for job in self._held.due(look, newest, clock.monotonic_ns(), all_=all_):
-            finisher.submit(job)
+            finisher.submit(job, first=self.under_way[job.key].urgent)
 
     def _keep_pixels(self, camera: Camera, ref: FrameRef) -> tuple[SampleRing, int]:
         held: tuple[SampleRing, int] | None = None
@@ -201,6 +229,7 @@ class Samples:
                 ring=sample.ring.name,
                 slot=sample.slot,
                 label=_label(sample, job, result, session, others(sample.ref)),
+                urgent=sample.urgent,
             )
             try:
                 store.send(order)

@@ -195,7 +195,7 @@ class OrderDesk:
             return
         label = order.label.model_copy(update={"session": session.book.name})
         job = WriteJob(session.folder, label, order.ring, order.slot, Coding.of(self._wanted.rig.config.dataset))
-        self._writer.submit(job, lambda written: self._written(order, written))
+        self._writer.submit(job, lambda written: self._written(order, written), first=order.urgent)
 
     def _written(self, order: StoreOrder, written: Written) -> None:
         if written.error is None and order.key not in self._keeper.samples:

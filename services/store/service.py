@@ -62,7 +62,8 @@ class StoreService:
         self._disk = DiskThread(self._completions)
         self._reader = DiskThread(self._completions, "store-list")
         self._keeper = SessionKeeper(self._disk, context.log, reserve)
-        self._writer = Writer(context.log, reserve=reserve, delay_s=delay_s)
+        workers = context.rig.config.workers.store
+        self._writer = Writer(context.log, reserve=reserve, delay_s=delay_s, workers=workers)
         self._poller.add(self._writer)
         self._desk = OrderDesk(
             self._keeper,

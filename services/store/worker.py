@@ -19,6 +19,7 @@ from common.frames import SampleSlots
 from common.labels import Label
 from common.laps import Laps, Stopwatch
 from common.messages import ErrorInfo
+from common.service.memory import keep_freed_memory
 from services.store.encode import LOSSLESS, Coding
 from services.store.sample import is_stored, pictures_for, write_sample
 
@@ -64,6 +65,7 @@ def prepare() -> None:
     """Make this process a worker."""
     os.nice(_NICE)
     cv2.setNumThreads(1)
+    keep_freed_memory()
 
 
 def write(turn: Turn) -> Written:

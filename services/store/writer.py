@@ -25,6 +25,7 @@ _AHEAD = 1
 class _Task:
     job: WriteJob
     then: Callable[[Written], None]
+    first: bool
 
 
 class Writer:
@@ -55,9 +56,10 @@ class Writer:
         """How many workers have died."""
         return self._crew.replaced
 
-    def submit(self, job: WriteJob, then: Callable[[Written], None]) -> None:
-        """Queue a job."""
-        self._waiting.append(_Task(job, then))
+    def submit(self, job: WriteJob, then: Callable[[Written], None], *, first: bool = False) -> None:
+        """Queue a job; ``first``: before all that wait, behind those of its kind."""
+        at = next((place for place, other in enumerate(self._waiting) if not other.first), len(self._waiting))
+        self._waiting.insert(at if first else len(self._waiting), _Task(job, then, first))
         self._hand_out()
 
     def collect(self) -> None:

@@ -49,6 +49,17 @@ def test_each_job_has_one_result(crew: Crew[str | int, int]) -> None:
     assert (crew.busy, crew.replaced, list(crew.finished())) == (0, 0, [])
 
 
+def test_what_is_urgent_goes_before_all_that_waits(place: Place) -> None:
+    with closing(Crew(crew_jobs.work, crew_jobs.prepare, (1000,), workers=1)) as crew:
+        for number in range(5):
+            crew.submit(f"job-{number}", number)
+        for number in (10, 11):
+            crew.submit(f"urgent-{number}", number, first=True)
+        order = list(results(crew, 7))
+    # The worker held two already.
+    assert order == ["job-0", "job-1", "urgent-10", "urgent-11", "job-2", "job-3", "job-4"]
+
+
 def test_a_bug_costs_its_job_and_no_worker(crew: Crew[str | int, int]) -> None:
     crew.submit("bad", "bug")
     crew.submit("good", 1)

@@ -23,20 +23,20 @@ DEADLINE_S = 30.0
 class Loop:
     """A service's loop around a writer."""
 
-    def __init__(self, folder: Path, place: Place, delay_s: float) -> None:
-        self.writer = Writer(log.get(), reserve=0, delay_s=delay_s)
+    def __init__(self, folder: Path, place: Place, delay_s: float, workers: int) -> None:
+        self.writer = Writer(log.get(), reserve=0, delay_s=delay_s, workers=workers)
         self.ring = SampleRing(segment_name(place.prefix, "label.0", "boot"), WIDTH, HEIGHT, True, 8)
         self.folder = folder
         self.results: dict[str, Written] = {}
 
-    def submit(self, frame: int, ring: str | None = None) -> str:
+    def submit(self, frame: int, ring: str | None = None, *, first: bool = False) -> str:
         slot = self.ring.acquire()
         assert slot is not None
         view = self.ring.view(slot)
         view.bgr[:], view.depth[:] = pixels(frame)
         label = label_for(frame)
         job = WriteJob(self.folder, label, ring or self.ring.name, slot)
-        self.writer.submit(job, lambda written: self.results.__setitem__(label.sample, written))
+        self.writer.submit(job, lambda written: self.results.__setitem__(label.sample, written), first=first)
         return label.sample
 
     def run_until(self, done: Callable[[], bool]) -> None:
@@ -59,13 +59,22 @@ def make_loop(tmp_path: Path, place: Place) -> Iterator[Callable[[float], Loop]]
         (tmp_path / "session" / name).mkdir(parents=True)
     (tmp_path / "session/session.json").write_text("{}")
 
-    def make(delay_s: float = 0.0) -> Loop:
-        made.append(Loop(tmp_path / "session", place, delay_s))
+    def make(delay_s: float = 0.0, workers: int = 2) -> Loop:
+        made.append(Loop(tmp_path / "session", place, delay_s, workers))
         return made[-1]
 
     yield make
     for loop in made:
         loop.close()
+
+
+def test_what_is_urgent_is_written_before_all_that_waits(make_loop: Callable[..., Loop]) -> None:
+    loop = make_loop(workers=1)
+    ordinary = [loop.submit(frame) for frame in range(5)]
+    urgent = loop.submit(5, first=True)
+    loop.run_until(lambda: len(loop.results) == 6)
+    # One was in work, one more handed out.
+    assert list(loop.results) == [*ordinary[:2], urgent, *ordinary[2:]]
 
 
 def test_more_jobs_than_workers_are_all_written(make_loop: Callable[..., Loop]) -> None:
