@@ -14,7 +14,7 @@ import queue
 import sys
 import threading
 from collections.abc import MutableMapping
-from typing import Any, cast
+from typing import Any, Literal, cast
 
 import structlog
 from structlog.typing import FilteringBoundLogger
@@ -22,9 +22,12 @@ from structlog.typing import FilteringBoundLogger
 from common import clock
 from common.errors import TagmillError
 
+Level = Literal["debug", "info", "warning", "error"]
+
 WRITER_THREAD = "log-writer"
 _QUEUE_LINES = 2000
 _FLUSH_S = 1.0
+_NUMBERS = {"debug": logging.DEBUG, "info": logging.INFO, "warning": logging.WARNING, "exception": logging.ERROR}
 
 
 class QueueWriter:
@@ -124,9 +127,10 @@ class _FromLibraries(logging.Handler):
 
 
 _writer: QueueWriter | None = None
+_least = logging.INFO
 
 
-def setup(service_id: str, level: str = "info", stream: Any = None) -> QueueWriter:
+def setup(service_id: str, level: Level = "info", stream: Any = None) -> QueueWriter:
     """Log as ``service_id`` to ``stream`` (default stderr): readable lines on a terminal, JSON otherwise.
 
     May be called again; the returned writer counts what was dropped. Everything is flushed at exit, within 1 s.
@@ -135,10 +139,19 @@ def setup(service_id: str, level: str = "info", stream: Any = None) -> QueueWrit
     shutdown()
     target = stream or sys.stderr
     _writer = QueueWriter(target.fileno(), service=service_id)
-    _configure(_writer, readable=target.isatty(), level=level, service=service_id)
-    root = logging.getLogger()
-    root.handlers[:] = [_FromLibraries(logging.WARNING)]
+    _configure(_writer, readable=target.isatty(), service=service_id)
+    logging.getLogger().handlers[:] = [_FromLibraries()]
+    set_level(level)
     return _writer
+
+
+def set_level(level: Level) -> None:
+    """What is below ``level`` is not logged from here on, by no logger of this process, old or new."""
+    global _least
+    _least = logging.getLevelNamesMapping()[level.upper()]
+    for handler in logging.getLogger().handlers:
+        handler.setLevel(logging.WARNING if _least > logging.DEBUG else logging.INFO)
+    logging.getLogger().setLevel(logging.WARNING if _least > logging.DEBUG else logging.INFO)
 
 
 def get(**bound: Any) -> FilteringBoundLogger:
@@ -156,11 +169,11 @@ def shutdown(timeout_s: float = _FLUSH_S) -> None:
     global _writer
     writer, _writer = _writer, None
     if writer is not None:
-        _configure(None, readable=True, level="info")
+        _configure(None, readable=True)
         writer.close(timeout_s)
 
 
-def _configure(writer: QueueWriter | None, *, readable: bool, level: str, service: str | None = None) -> None:
+def _configure(writer: QueueWriter | None, *, readable: bool, service: str | None = None) -> None:
     renderer: Any = (
         structlog.dev.ConsoleRenderer(colors=sys.stderr.isatty())
         if readable
@@ -175,6 +188,7 @@ def _configure(writer: QueueWriter | None, *, readable: bool, level: str, servic
 
     structlog.configure(
         processors=[
+            _drop_below_level,
             name_service,
             structlog.processors.add_log_level,
             structlog.processors.TimeStamper(fmt="iso", utc=True),
@@ -182,10 +196,17 @@ def _configure(writer: QueueWriter | None, *, readable: bool, level: str, servic
             *([] if readable else [structlog.processors.format_exc_info]),
             renderer,
         ],
-        wrapper_class=structlog.make_filtering_bound_logger(level),
+        wrapper_class=structlog.make_filtering_bound_logger(logging.DEBUG),
         logger_factory=lambda *_: _Sink(writer),
         cache_logger_on_first_use=False,
     )
+
+
+def _drop_below_level(_logger: Any, name: str, event: MutableMapping[str, Any]) -> MutableMapping[str, Any]:
+    """A processor and not structlog's own filter: that is fixed for a logger once it has bound something."""
+    if _NUMBERS.get(name, logging.ERROR) < _least:
+        raise structlog.DropEvent
+    return event
 
 
 def _expected_without_traceback(_logger: Any, _name: str, event: MutableMapping[str, Any]) -> MutableMapping[str, Any]:
@@ -199,5 +220,5 @@ def _expected_without_traceback(_logger: Any, _name: str, event: MutableMapping[
     return event
 
 
-_configure(None, readable=True, level="info")
+_configure(None, readable=True)
 atexit.register(shutdown)

@@ -108,6 +108,7 @@ WORDS: dict[str, Words] = {
     "name_taken": Words("That runs already.", "Stop the other one first, or use another TAGMILL_PREFIX."),
     "no_supervisor": Words("No stack runs here.", "Start it with 'tagmill up --rig rig.yaml'."),
     "no_start": Words("The stack did not start.", "See the log that is named."),
+    "unknown_service": Words("There is no such service.", "'tagmill status' lists them."),
     "keys_exist": Words("There are keys already.", "Add a client with --client NAME, or remove the old keys first."),
     "bad_request": Words("That is no command.", "'tagmill help' shows what one looks like."),
     "bad_order": Words("Two services don't understand each other.", "Are all of the same release? Restart the stack."),

@@ -65,6 +65,8 @@ SUB_COMMANDS = (
     ),
     SubCommand("bench", "tools.bench.command", "measure the real stack on this machine"),
     SubCommand("evaluate", "tools.evaluate.command", "measure labels and erased pictures against the truth"),
+    SubCommand("log", "tools.commands.log", "how much the services log, changed while they run"),
+    SubCommand("doctor", "tools.doctor.command", "check this machine, and say what to do"),
     SubCommand("keys", "tools.commands.keys", "make the CURVE keys that a command socket off loopback needs"),
 )
 

@@ -3,7 +3,7 @@
 from common.frames.layout import Layout, Pictures
 from common.frames.reader import FrameReader, FrameView
 from common.frames.samples import SampleRing, SampleSlots
-from common.frames.segment import segment_name, shm_folder, sweep
+from common.frames.segment import dead_segments, segment_name, shm_folder, sweep
 from common.frames.writer import FrameWriter
 
 __all__ = [
@@ -14,6 +14,7 @@ __all__ = [
     "Pictures",
     "SampleRing",
     "SampleSlots",
+    "dead_segments",
     "segment_name",
     "shm_folder",
     "sweep",

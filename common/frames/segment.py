@@ -145,15 +145,21 @@ def sweep(prefix: str, owner: str | None = None) -> list[str]:
     Takes all whose names start with this prefix (and owner). A segment of a live process is never touched:
     its lock can't be taken. Those of another user are left alone.
     """
+    return [path.name for path in _segments(prefix, owner) if _is_dead(path, remove=True)]
+
+
+def dead_segments(prefix: str) -> list[str]:
+    """The names of what ``sweep`` would remove."""
+    return [path.name for path in _segments(prefix, None) if _is_dead(path, remove=False)]
+
+
+def _segments(prefix: str, owner: str | None) -> list[Path]:
     start = f"tagmill-{prefix}-" if owner is None else f"tagmill-{prefix}-{owner}"
     folder = shm_folder()
-    if not folder.is_dir():
-        return []
-    found = sorted(path for path in folder.iterdir() if path.name.startswith(start))
-    return [path.name for path in found if _remove_if_dead(path)]
+    return sorted(path for path in folder.iterdir() if path.name.startswith(start)) if folder.is_dir() else []
 
 
-def _remove_if_dead(path: Path) -> bool:
+def _is_dead(path: Path, *, remove: bool) -> bool:
     try:
         descriptor = os.open(path, os.O_RDONLY)
     except (FileNotFoundError, PermissionError):
@@ -161,7 +167,8 @@ def _remove_if_dead(path: Path) -> bool:
     try:
         if not _lock(descriptor) or os.fstat(descriptor).st_nlink == 0:
             return False
-        path.unlink(missing_ok=True)
+        if remove:
+            path.unlink(missing_ok=True)
         return True
     finally:
         os.close(descriptor)

@@ -35,6 +35,7 @@ class Heartbeat:
             return
         self._last = key
         self._next_ns = now + _EVERY_NS
+        log.get().debug("service.report", phase=phase.value, rates=report.rates, numbers=report.numbers)
         dropped = dict(report.dropped)
         own = {"log": log.dropped(), "heartbeat": self._publisher.dropped}
         dropped.update({place: count for place, count in own.items() if count})

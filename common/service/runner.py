@@ -19,6 +19,7 @@ from common.ids import new_boot
 from common.service.arguments import parse, service_id
 from common.service.context import Context, Report, Service
 from common.service.heartbeat import Heartbeat
+from common.service.levels import LevelWatch
 from common.service.parent import die_with_parent
 from common.service.signals import DRAIN_S, StopRequest
 from common.service.states import Phase, StateMachine
@@ -113,6 +114,7 @@ class _Run:
         self._service: Service | None = None
         self._lock: NameLock | None = None
         self._report = Report()
+        self._level = LevelWatch(context.endpoints.run_dir, context.id, context.args.log_level)
         self._heartbeat = Heartbeat(context.endpoints, context.id, context.instance, context.camera, context.boot)
 
     def open(self, wait_s: float) -> None:
@@ -145,6 +147,7 @@ class _Run:
                 self._report = self._service.report()
                 self._enter(Phase.FAULTY if self._report.faulty else Phase.RUNNING)
                 self._heartbeat.beat(self._states.phase, self._report)
+                self._level.look()
             self._service.step(STEP_S)
 
     def drain(self) -> None:

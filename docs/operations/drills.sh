@@ -50,8 +50,8 @@ ready() {
 }
 sentences() { tagmill status | grep -E "^(!|ready|not complete|recording rec)" ; }
 heads() { tail -n 400 "$log/$1.log" | grep -E "\"event\": \"($2)\"" | tail -n "${3:-3}" | sed -E 's/, "(boot|pid|timestamp)": [^,}]*//g'; }
-recording() { show tagmill start --every 0.4; }
-ending() { show tagmill stop; show tagmill inspect drill --verify; }
+recording() { show tagmill start --every 2; }
+ending() { show tagmill stop; }
 now() { echo "\$ tagmill status"; sentences | sed "s#$work#...#g"; }
 said() { echo "(in the log of $1)"; heads "$@" | sed "s#$work#...#g" | cut -c1-240; }
 clean() { rm -rf dataset/drill/bin; find dataset/drill/rgb dataset/drill/depth dataset/drill/label -type f -delete; }
@@ -138,7 +138,7 @@ drill "supervisord is killed"
 recording; sleep 2; pid=$("$bin/supervisorctl" -c "$TAGMILL_RUN_DIR/drill/supervisord.conf" pid); echo "\$ kill -9 $pid"; kill -9 "$pid"
 show tagmill down; show tagmill up --detach; ready; now
 echo '$ tagmill ledger <that recording>'; recording_id=$(ls -t "$log" >/dev/null; "$bin/python" -c 'import json; s=json.load(open("dataset/drill/session.json")); r=sorted(s["recordings"])[-1]; l=s["recordings"][r]; print(r, l["phase"], {c: (a["captured"], a["recorded"], a["refused"], a["dropped"]) for c, a in l["cameras"].items()})'); echo "$recording_id"
-show tagmill inspect drill --verify
+
 
 drill "The clock is set back by an hour, and the disk takes 400 ms a sample"
 show tagmill down
@@ -148,6 +148,7 @@ show tagmill record --camera cam0
 unset TAGMILL_WALL_OFFSET_S TAGMILL_STORE_DELAY_MS
 
 drill "After all of it"
+show tagmill inspect drill --verify
 show tagmill down
 echo '$ ls run folder and /dev/shm'; ls "$TAGMILL_RUN_DIR/drill" /dev/shm | grep -v -E "log|conf" ; ps -eo args | grep -c "[s]ervices\..*$work"
 cd /; umount -l "$work/rig/dataset"; rm -rf "$work"

@@ -9,7 +9,8 @@ from pathlib import Path
 import psutil
 
 from common.bus import LOCK_SUFFIX, Endpoints, clear_dead, holder_of
-from common.frames import sweep
+from common.frames import dead_segments, sweep
+from common.service.levels import LEVELS_FILE
 from services.capture.last_life import SUFFIX as NOTE_SUFFIX
 from services.store.choice import CHOICE_FILE
 from tools.stack.programs import PID_FILE, SOCKET_FILE
@@ -69,6 +70,15 @@ def clear(endpoints: Endpoints) -> tuple[str, ...]:
     return (*cleared, *sweep(endpoints.prefix))
 
 
+def remains(endpoints: Endpoints) -> tuple[str, ...]:
+    """What ``clear`` would remove of locks, sockets and segments; for a stack that doesn't run."""
+    folder = endpoints.run_dir
+    sockets = [path for path in sorted(folder.iterdir()) if path.is_socket()] if folder.is_dir() else []
+    dead = [path for path in _locks(folder) if holder_of(path) is None]
+    alone = [path for path in sockets if not _answers(path)]
+    return (*(path.name for path in (*dead, *alone)), *dead_segments(endpoints.prefix))
+
+
 def _locks(folder: Path) -> tuple[Path, ...]:
     return tuple(sorted(folder.glob(f"*{LOCK_SUFFIX}"))) if folder.is_dir() else ()
 
@@ -86,6 +96,7 @@ def _clear_supervisor(folder: Path) -> list[str]:
             cleared.append(left.name)
     # No remains of a crash, so nothing to tell: the session that was chosen for the stack's life, which is over.
     (folder / CHOICE_FILE).unlink(missing_ok=True)
+    (folder / LEVELS_FILE).unlink(missing_ok=True)
     # What capture processes leave for the next one, should they die: there is no next one.
     for note in folder.glob(f"*{NOTE_SUFFIX}"):
         note.unlink(missing_ok=True)

@@ -1,0 +1,1 @@
+"""`tagmill doctor`: whether this machine can run a stack, and what to do where it can't."""
