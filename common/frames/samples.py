@@ -7,7 +7,6 @@ number of an earlier life can't be taken for one of this life.
 
 from __future__ import annotations
 
-from collections import deque
 from typing import Self
 
 from common.errors import FrameLostError
@@ -27,7 +26,7 @@ class SampleRing:
         self.layout = Layout("samples", width, height, slots, has_depth, with_original)
         self._segment = Segment.create(name, self.layout.size)
         self.layout.write_header(self._segment.buffer)
-        self._free = deque(range(slots))
+        self._free = list(reversed(range(slots)))
         self._taken: set[int] = set()
 
     @property
@@ -41,10 +40,14 @@ class SampleRing:
         return len(self._free)
 
     def acquire(self) -> int | None:
-        """Take a slot (the one that was given back longest ago); None if all are taken."""
+        """Take a slot; None if all are taken.
+
+        The one that was given back last: while little waits, few slots go round, and their pixels stay in the caches
+        and the pages of whoever maps them.
+        """
         if not self._free:
             return None
-        slot = self._free.popleft()
+        slot = self._free.pop()
         self._taken.add(slot)
         return slot
 
