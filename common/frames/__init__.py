@@ -3,7 +3,7 @@
 from common.frames.layout import Layout, Pictures
 from common.frames.reader import FrameReader, FrameView
 from common.frames.samples import SampleRing, SampleSlots
-from common.frames.segment import dead_segments, segment_name, shm_folder, sweep
+from common.frames.segment import dead_segments, segment_name, shm_folder, shm_room, sweep
 from common.frames.writer import FrameWriter
 
 __all__ = [
@@ -17,5 +17,6 @@ __all__ = [
     "dead_segments",
     "segment_name",
     "shm_folder",
+    "shm_room",
     "sweep",
 ]

@@ -29,6 +29,11 @@ def shm_folder() -> Path:
     return Path(os.environ.get("TAGMILL_SHM_DIR") or "/dev/shm")  # noqa: S108 - POSIX shared memory lives there
 
 
+def shm_room() -> tuple[int, int]:
+    """Free bytes and all bytes of shared memory; raises OSError where its folder is gone."""
+    return _free(shm_folder())
+
+
 def segment_name(prefix: str, owner: str, boot: str) -> str:
     """The name of a segment: ``tagmill-<prefix>-<owner>-<boot>``, e.g. ``tagmill-tagmill-cam0-5f3a9c21``."""
     name = f"tagmill-{prefix}-{owner}-{boot}"

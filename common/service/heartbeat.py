@@ -8,6 +8,7 @@ from common import clock, log
 from common.bus import Endpoints, Publisher
 from common.messages import ServiceState
 from common.service.context import Report
+from common.service.cpu import CpuMeter
 from common.service.states import Phase
 from common.topics import SERVICE
 
@@ -24,6 +25,7 @@ class Heartbeat:
         self._camera = camera
         self._boot = boot
         self._publisher = Publisher(endpoints, service_id, boot)
+        self._cpu = CpuMeter()
         self._next_ns = 0
         self._last: tuple[Phase, bool, str | None] | None = None
 
@@ -49,7 +51,7 @@ class Heartbeat:
             cameras=report.cameras,
             rates=report.rates,
             dropped=dropped,
-            numbers=report.numbers,
+            numbers={"cpu_percent": self._cpu.percent(), **report.numbers},
             texts=report.texts,
             last_error=report.last_error,
             warnings=report.warnings,

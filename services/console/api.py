@@ -9,6 +9,7 @@ from fastapi import APIRouter, Query, Response
 from starlette.responses import JSONResponse
 
 from common.config import Rig
+from common.config.quality import read_quality
 from common.errors import DatasetError
 from common.words import WORDS
 from services.console.catalog import Catalog
@@ -179,5 +180,14 @@ def _camera(rig: Rig, name: str) -> Plain:
     label = rig.calibration(name)
     calibration = None
     if label is not None:
-        calibration = {"file": str(camera.calibration), "width": label.width, "height": label.height}
+        assert camera.calibration is not None
+        quality = read_quality(rig.resolve(camera.calibration))
+        calibration = {
+            "file": str(camera.calibration),
+            "width": label.width,
+            "height": label.height,
+            "verdict": None if quality is None else quality.verdict,
+            "reasons": [] if quality is None else list(quality.reasons),
+            "focal_percent": None if quality is None else quality.focal_percent,
+        }
     return {"name": name, "driver": camera.driver, "calibrated": label is not None, "calibration": calibration}

@@ -60,6 +60,7 @@ class Console:
         self.pictures = Pictures()
         self.calibrator = Calibrator(context.log)
         self.state = State(self.hub)
+        self.state.follow(self.rig)
         self.measured = Metrics(self.state)
         self.feeds = Feeds(loop, self.state.why_no_label, self._listen)
         page = Page()
@@ -208,6 +209,7 @@ class Console:
             return
         try:
             self.rig = load_rig(self.rig.path)
+            self.state.follow(self.rig)
         except ConfigError as error:  # it was changed again meanwhile, and not for the better
             self._context.log.warning("console.rig_unreadable", reason=error.message)
 

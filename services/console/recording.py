@@ -169,7 +169,7 @@ class RecordView:
         if found is None or now_ns - found[1] > STALE_LABEL_NS:
             code = state.why_no_label(camera)
             return {"ok": False, "code": code, "title": words_for(code).title}
-        return can_record(found[0])
+        return can_record(found[0], state.keeps)
 
     def _refusals(self) -> list[dict[str, Any]]:
         counts = Counter(code for _, code in self._refused)
@@ -192,13 +192,13 @@ class RecordView:
         }
 
 
-def can_record(labels: Labels) -> dict[str, Any]:
-    """Whether a frame with this label would be taken, in words."""
-    if labels.missing:
+def can_record(labels: Labels, keeps: frozenset[str] = frozenset()) -> dict[str, Any]:
+    """Whether a frame with this label would be taken, in words; ``keeps``: codes that the rig does not refuse."""
+    if labels.missing and not ("incomplete" in keeps and labels.objects):
         return {"ok": False, "code": "incomplete", "title": words_for("incomplete").title}
     if not labels.objects:
         return {"ok": False, "code": "no_object", "title": words_for("no_object").title}
-    if any(item.quality.ambiguous for item in labels.objects):
+    if "ambiguous_pose" not in keeps and any(item.quality.ambiguous for item in labels.objects):
         return {"ok": False, "code": "ambiguous_pose", "title": words_for("ambiguous_pose").title}
     names = ", ".join(item.name for item in labels.objects)
     return {"ok": True, "title": f"{names} in view"}

@@ -5,6 +5,8 @@ from __future__ import annotations
 from typing import Any
 
 from common import clock
+from common.config import Rig
+from common.frames import shm_room
 from common.messages import CameraState, Labels, RecordingState, SamplesChanged, ServiceState
 from common.service import Liveness
 from common.service.liveness import GONE
@@ -30,8 +32,15 @@ class State:
         self.marker_seen: dict[int, str] = {}
         self.liveness = Liveness()
         self.record = RecordView()
+        self.keeps: frozenset[str] = frozenset()
         self._watch = ServiceWatch(hub, clock.monotonic_ns() + QUIET_NS)
         self._warned: set[tuple[str, int, str]] = set()
+
+    def follow(self, rig: Rig) -> None:
+        """Heed what this rig lets be recorded that others refuse."""
+        config = rig.config
+        keeping = {"incomplete": config.record.incomplete, "ambiguous_pose": config.pose.ambiguous}
+        self.keeps = frozenset(code for code, what in keeping.items() if what == "keep")
 
     # --- news ---------------------------------------------------------------------------------------------
 
@@ -86,7 +95,8 @@ class State:
     def heard_status(self, answer: Plain) -> None:
         """What ``status`` answered, or why it didn't."""
         self.status = answer
-        self.hub.tell("status", answer | {"markers_seen": {str(name): at for name, at in self.marker_seen.items()}})
+        seen = {str(name): at for name, at in self.marker_seen.items()}
+        self.hub.tell("status", answer | {"markers_seen": seen, "shm": _shm()})
         if answer.get("ok"):
             self.hub.tell("session", {"session": answer.get("session"), "dataset": answer.get("dataset")})
             self.hub.tell("disk", self.record.disk(answer))
@@ -133,6 +143,15 @@ class State:
             "left_out": [{"marker": left.marker, "reason": left.reason} for left in labels.left_out],
             "missing": [{"object": item.object, "reason": item.reason} for item in labels.missing],
         }
+
+
+def _shm() -> Plain | None:
+    """How full shared memory is; None where it can't be told."""
+    try:
+        free, total = shm_room()
+    except OSError:
+        return None
+    return {"total_bytes": total, "used_bytes": total - free}
 
 
 def _auto(state: RecordingState) -> Plain:

@@ -13,16 +13,21 @@ import cv2
 import numpy as np
 import pytest
 
-from tests.support.console_page import DESKTOP, TABLET, PageUnderTest, Site, console_site
+from common.boards import Board, write_board
+from tests.support.console_page import DEADLINE_MS, DESKTOP, TABLET, PageUnderTest, Site, console_site
 from tests.support.hygiene import own_place
 from tests.support.stack import ROOT
 
 OUT = ROOT / "docs/images/console"
 EXAMPLE = ROOT / "deploy/examples/synthetic.yaml"
+BOARD = Board(kind="charuco", columns=8, rows=6, square_mm=30, marker_mm=22, family="5x5_250")
 CAMERAS = """\
 cameras:
   cam0: {driver: synthetic, width: 1280, height: 720, fps: 6, depth: true, seed: 1, prerendered: 40}
   cam1: {driver: synthetic, width: 640, height: 360, fps: 3, seed: 2, prerendered: 12}
+"""
+BENCH = """\
+  bench: {driver: synthetic, width: 1280, height: 720, fps: 8, board: board.yaml, speed: 2.0, focal_px: 900}
 """
 QUALITY = 82
 SAMPLES = 14
@@ -48,9 +53,15 @@ def main() -> int:
         rig.write_text(
             text[: text.index("cameras:")].replace("session: boxes}", "session: boxes, keep_original: true}") + CAMERAS
         )
+        if sys.argv[1:] == ["calibrate"]:
+            calibrating(Path(folder))
+            return 0
         with console_site(rig, Path(folder) / "dataset" / "boxes", "cam0", "cam1") as site:
             site.stack.ask(command="record", camera="cam0", count=SAMPLES, interval_s=0.7, timeout_s=90.0)
             take_all(site)
+        if not sys.argv[1:]:
+            (Path(folder) / "bench").mkdir()
+            calibrating(Path(folder) / "bench")
     return 0
 
 
@@ -72,6 +83,25 @@ def take_all(site: Site) -> None:
     opened(site)
     split(site)
     recording(site)
+
+
+def calibrating(folder: Path) -> None:
+    """A calibration half-way, in both themes and on the tablet: a stack of its own, whose camera is shown a board."""
+    rig = folder / "rig.yaml"
+    rig.write_text("dataset: {root: ./dataset, session: boxes}\ncameras:\n" + BENCH)
+    write_board(folder / "board.yaml", BOARD)
+    with console_site(rig, folder / "dataset" / "boxes", "bench") as site:
+        page = site.open("setup?calibrate=bench")
+        page.page.get_by_label("board.yaml").check()
+        page.page.get_by_role("button", name="Begin").click()
+        page.wait("document.querySelector('[data-views]')?.dataset.views >= 4")
+        for name, size, theme in (("light", DESKTOP, "light"), ("dark", DESKTOP, "dark"), ("tablet", TABLET, "light")):
+            shown = site.open("setup?calibrate=bench", size=size, theme=theme)
+            shown.drawn("calibrate-bench")
+            shown.page.wait_for_selector(".say[data-phase='holding']")
+            save(shown, f"calibrate-{name}")
+        page.page.wait_for_selector(".level", timeout=4 * DEADLINE_MS)
+        save(page, "calibrated")
 
 
 def settled(page: PageUnderTest) -> None:

@@ -132,11 +132,35 @@ def test_undo_moves_the_last_one_to_the_bin(site: Site, live: PageUnderTest) -> 
     wait_for(lambda: new in site.samples(), why="the sample to be back")
 
 
+def test_what_waits_for_a_picture_that_fits_can_be_cancelled(site: Site, live: PageUnderTest) -> None:
+    before = site.samples()
+    live.page.keyboard.press(".")
+    live.drawn("big-bench-rgb")
+    live.page.wait_for_selector(".can.bad:has-text('No object in view')")
+    live.press("r")
+    live.phase("asked")
+    assert live.page.locator(".take").inner_text().startswith("Cancel")
+    assert "WAITING" in live.page.locator(".state").inner_text()
+    live.page.locator(".take").click()
+    live.phase("ready")
+    live.press("r")
+    live.page.wait_for_selector(".toast:has-text('No object in view')")
+    live.phase("ready")
+    assert site.samples() == before
+
+
 def test_a_recording_is_said_in_six_places_and_a_double_press_does_not_stop_it(site: Site, live: PageUnderTest) -> None:
     live.page.get_by_role("radio", name="Every").check()
+    # The second half of a double click, at the very moment at which the recording is seen to run: ignored.
+    live.page.evaluate("""() => new MutationObserver((_, self) => {
+        if (document.documentElement.dataset.phase !== "recording") return;
+        self.disconnect();
+        document.body.dispatchEvent(new KeyboardEvent("keydown", {key: "r", code: "KeyR", bubbles: true}));
+        document.documentElement.dataset.pressed = "twice";
+    }).observe(document.documentElement, {attributes: true, attributeFilter: ["data-phase"]})""")
     live.press("r")
     live.phase("recording")
-    live.press("r")  # the second half of a double click: ignored
+    live.page.wait_for_selector("html[data-pressed]", state="attached")
     live.wait("document.title.startsWith('●')")
     assert live.page.locator(".state").inner_text().startswith("RECORDING")
     assert live.page.locator(".take").inner_text().startswith("Stop")

@@ -4,12 +4,14 @@ from __future__ import annotations
 
 import re
 import time
+from pathlib import Path
 
 import psutil
 import pytest
 
-from tests.support.console_page import PageUnderTest, Site
-from tests.support.stack import wait_for
+from tests.support.console_page import DEADLINE_MS, PageUnderTest, Site
+from tests.support.hygiene import Place
+from tests.support.stack import Stack, wait_for
 
 pytestmark = pytest.mark.process
 
@@ -45,6 +47,8 @@ def test_coverage_grows_with_what_is_recorded(site: Site) -> None:
 def test_killing_detect_shows_and_heals(site: Site) -> None:
     page = site.open("health")
     page.page.wait_for_selector("tr:has-text('detect.0'):has-text('running')")
+    page.page.wait_for_selector("tr:has-text('detect.0') td.number:text-matches('[0-9]+ %')")
+    page.page.wait_for_selector(".room :text-matches('MB of|GB of')")
     # The console says nothing of what dies in its first 10 seconds, in which a stack comes up.
     started = psutil.Process(site.stack.pids()["console"]).create_time()
     wait_for(lambda: time.time() - started > QUIET_S, why="the console to have run for a while")
@@ -157,6 +161,37 @@ def test_a_page_from_elsewhere_can_do_nothing(site: Site) -> None:
     )
     assert outcome == ["refused", "refused"]
     assert site.samples() == before
+
+
+def test_off_loopback_a_page_needs_the_token_which_leaves_the_address(site: Site, place: Place, tmp_path: Path) -> None:
+    """A console of its own, without a stack: what it lets in doesn't depend on one."""
+    rig = tmp_path / "rig.yaml"
+    rig.write_text("network: {console: 'http://0.0.0.0:0'}\ncameras:\n  cam0: {driver: synthetic}\n")
+    process = Stack(place, tmp_path).start_service("console", rig, TAGMILL_PREFIX=f"{place.prefix}b")
+    try:
+        url = str(process.wait_for_event("console.ready")["url"]).replace("0.0.0.0", "127.0.0.1")
+        plain = url.partition("/?token=")[0]
+        context = site.browser.new_context()
+        site.contexts.append(context)
+        page = context.new_page()
+        page.set_default_timeout(DEADLINE_MS)
+        statuses = [page.goto(address).status for address in (f"{plain}/live", f"{plain}/?token=wrong", url)]
+        assert statuses == [401, 401, 200]
+        assert page.url == f"{plain}/live"
+        page.wait_for_selector(".top")
+        assert "token" not in page.evaluate("document.cookie + location.href + document.referrer")
+        (cookie,) = context.cookies()
+        assert (cookie["httpOnly"], cookie["sameSite"]) == (True, "Strict")
+        opened = """(url) => new Promise((done) => {
+            const ws = new WebSocket(url.replace("http", "ws") + "/ws");
+            ws.onopen = () => done("open");
+            ws.onclose = () => done("refused");
+        })"""
+        assert page.evaluate(opened, plain) == "open"
+        context.clear_cookies()
+        assert page.evaluate(opened, plain) == "refused"
+    finally:
+        assert process.stop() == 0
 
 
 def test_a_lost_connection_is_said_and_healed(site: Site) -> None:

@@ -23,18 +23,44 @@ export const bigPicture = {painter: null};
 /** The big button, Space and R. */
 export async function take() {
   if (Date.now() - changed < DEAF_MS) return;
-  const {act} = button(state.phase.value, state.settings.value.mode, state.topics.record.value);
+  const {act} = button(state.phase.value, state.settings.value.mode, state.topics.record.value, state.asked.value === "waiting");
   if (act === "stop") await stop();
+  else if (act === "cancel") cancel();
   else if (act === "start") await start();
   else if (act === "take") await one();
+}
+
+const WAIT_MS = 100;
+let cancelled = false;
+
+/** Give up waiting: no order has been given yet, so there is nothing to take back. */
+export function cancel() {
+  cancelled = true;
+}
+
+/** Until a frame of every wished camera would be taken; false where that didn't come in time, or was cancelled. */
+async function fits(cameras, until) {
+  const can = () => cameras.map((name) => state.topics.record.value?.can?.[name]).find((one) => !one?.ok);
+  cancelled = false;
+  if (!can()) return true;
+  state.asked.value = "waiting";
+  while (can() && !cancelled && Date.now() < until) await new Promise((done) => { setTimeout(done, WAIT_MS); });
+  const reason = can();
+  if (!reason) return true;
+  if (!cancelled) refused({error: {code: reason.code, message: reason.title ?? "No picture yet."}});
+  return false;
 }
 
 const wished = () => (state.allCameras.value ? "all" : state.bigCamera.value);
 
 async function one() {
   if (state.asked.value) return;
-  state.asked.value = "record";
   const camera = wished();
+  const until = Date.now() + RECORD_S * 1000;
+  state.askedUntil.value = until;
+  const fitting = await fits(camera === "all" ? state.cameras.value : [camera], until);
+  state.asked.value = fitting ? "record" : null;
+  if (!fitting) return;
   const frame = camera === "all" ? null : bigPicture.painter?.fresh(300) ?? null;
   const fields = {camera, timeout_s: RECORD_S};
   let answer = await command("record", frame === null ? fields : {...fields, frame}, (RECORD_S + 10) * 1000);
@@ -56,10 +82,12 @@ async function start() {
 
 /** Can only stop. */
 export async function stop() {
+  if (state.asked.value === "waiting") return cancel();
   const recording = state.topics.record.value?.recording;
-  if (!recording) return;
+  if (!recording) return undefined;
   const answer = await command("stop", {recording}, STOP_MS);
   if (!answer.ok && answer.error.code !== "no_recording") refused(answer);
+  return undefined;
 }
 
 function refused(answer) {

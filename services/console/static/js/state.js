@@ -20,8 +20,9 @@ export const lastEvent = signal(0);
 /** Bumped when samples came, went or returned: whoever shows a list asks again. */
 export const samplesVersion = signal(0);
 export const now = signal(Date.now());
-/** Commands on their way, by name: "record" means WAITING. */
+/** What was asked for and has no answer yet: "waiting" for a picture that fits, then "record" or "start". */
 export const asked = signal(null);
+export const askedUntil = signal(0);
 export const heldStill = signal(false);
 /** Pictures as drawn, by view id: {camera, frame, boot, drawn_ms, label, fps, age_ms, reduced}. */
 export const drawn = signal({});
@@ -67,7 +68,7 @@ export const allCameras = computed(() => camera.value === "all" && cameras.value
 
 export const phase = computed(() => {
   if (connection.value !== "open" || !topics.record.value) return "unknown";
-  if (asked.value === "record" && topics.record.value.phase === "ready") return "asked";
+  if (["waiting", "record"].includes(asked.value) && topics.record.value.phase === "ready") return "asked";
   return topics.record.value.phase;
 });
 

@@ -51,7 +51,7 @@ function Pipe() {
   })}</ol>`;
 }
 
-function Row({name, service, cpus}) {
+function Row({name, service}) {
   const lost = Object.entries(service.dropped ?? {}).map(([why, n]) => `${count(n)} ${why.replaceAll(/[_:]/g, " ")}`).join(", ");
   const {latency_p50_ms: p50, latency_p99_ms: p99, cpu_percent: cpu} = service.numbers ?? {};
   return html`<tr><th scope="row">${name}</th>
@@ -59,7 +59,7 @@ function Row({name, service, cpus}) {
       : html`<span class="warn"><${Icon} name="triangle-alert" /> away for ${span(service.age_s)}</span>`}${service.restarts ? html` <span class="muted small">restarted ${service.restarts}×</span>` : ""}</td>
     <td class="number">${rate(rateOf(service))}</td>
     <td class="number">${p50 === undefined ? "" : `${Math.round(p50)} / ${Math.round(p99)} ms`}</td>
-    ${cpus && html`<td class="number">${cpu === undefined ? "" : `${Math.round(cpu)} %`}</td>`}
+    <td class="number">${cpu === undefined ? "–" : `${Math.round(cpu)} %`}</td>
     <td class="small">${lost}</td>
     <td><${Spark} values=${history.slice(-120).map((one) => one.services[name]?.rate ?? null)} /></td></tr>`;
 }
@@ -68,7 +68,7 @@ function Room() {
   const status = state.topics.status.value;
   const disk = state.topics.disk.value;
   if (!status) return null;
-  const shm = status.shm ?? status.memory;
+  const {shm} = status;
   return html`<dl class="room panel"><div><dt>Disk</dt><dd class="number">${disk?.samples_left == null ? "–" : `${count(disk.samples_left)} samples fit`}
       <span class="muted">${bytes(status.disk?.free_bytes)} free${disk?.hours_left ? `, ${span(disk.hours_left * 3600)} at this pace` : ""}</span></dd></div>
     <div><dt>Waiting to be saved</dt><dd class="number">${count(status.backlog)}</dd></div>
@@ -80,12 +80,11 @@ function Room() {
 export function Health() {
   const status = state.topics.status.value;
   const services = Object.entries(status?.services ?? {}).sort(([a], [b]) => order(a) - order(b) || a.localeCompare(b));
-  const cpus = services.some(([, service]) => service.numbers?.cpu_percent !== undefined);
   return html`<h1 class="visually-hidden">Health</h1><div class="stack health">
     <${Sentences} /><${Pipe} />
     <div class="scroll panel" tabindex="0" role="region" aria-label="Services in numbers"><table class="services"><caption class="visually-hidden">Services</caption><thead><tr><th scope="col">Service</th><th scope="col">State</th>
-      <th scope="col">a second</th><th scope="col">Wait p50 / p99</th>${cpus && html`<th scope="col">CPU</th>`}<th scope="col">Passed over, and why</th><th scope="col">Last two minutes</th></tr></thead>
-      <tbody>${services.map(([name, service]) => html`<${Row} key=${name} name=${name} service=${service} cpus=${cpus} />`)}</tbody></table></div>
+      <th scope="col">a second</th><th scope="col">Wait p50 / p99</th><th scope="col">CPU</th><th scope="col">Passed over, and why</th><th scope="col">Last two minutes</th></tr></thead>
+      <tbody>${services.map(([name, service]) => html`<${Row} key=${name} name=${name} service=${service} />`)}</tbody></table></div>
     <${Room} />
     <div class="two"><${Chart} title="Frames" unit="a second" series=${[{label: "captured", kind: "capture", field: "rate"}, {label: "labelled", kind: "label", field: "rate"}, {label: "stored", kind: "store", field: "rate"}]} />
       <${Chart} title="Wait until labelled" unit="ms" series=${[{label: "half of them", kind: "label", field: "p50"}, {label: "99 of 100", kind: "label", field: "p99"}]} /></div>

@@ -15,12 +15,13 @@ export const STATE_WORDS = {
 /** After a change of state presses are ignored for so long: a double click would start and stop. */
 export const DEAF_MS = 700;
 
-/** {text, shape, disabled, act, why}: act is take, start, stop or null. */
-export function button(phase, mode, record) {
+/** {text, shape, disabled, act, why}: act is take, start, stop, cancel or null; `waiting`: nothing was ordered yet. */
+export function button(phase, mode, record, waiting = false) {
   switch (phase) {
     case "ready":
       return mode === "one" ? {text: "Take sample", shape: "circle", act: "take"} : {text: "Start", shape: "circle", act: "start"};
     case "asked":
+      if (waiting) return {text: "Cancel", shape: "square", act: "cancel"};
       return {text: "Waiting for a picture that fits", shape: "circle", disabled: true, act: null};
     case "recording":
       return {text: "Stop", shape: "square", act: "stop"};

@@ -19,7 +19,7 @@ export const watched = () =>
 export function BigButton() {
   const record = state.topics.record.value;
   const phase = state.phase.value;
-  const it = button(phase, state.settings.value.mode, record);
+  const it = button(phase, state.settings.value.mode, record, state.asked.value === "waiting");
   return html`<button class="take" data-phase=${phase} disabled=${it.disabled} aria-keyshortcuts=${shortcuts("take")}
       onPointerDown=${keepFocus} onClick=${take}>
     <${Icon} name=${it.shape} /><span>${it.text}</span>${!it.disabled && html`<kbd>Space</kbd>`}
@@ -32,7 +32,7 @@ export function Can() {
   if (phase === "unknown") {
     return html`<p class="can bad"><${Icon} name="unplug" /><span>The recording goes on without this page.${record ? ` Last known: ${record.phase}, ${record.count ?? 0} samples.` : ""}</span></p>`;
   }
-  if (phase === "cannot") return html`<p class="can bad"><${Icon} name="triangle-alert" /><span>${record.why?.what_to_do}</span></p>`;
+  if (phase === "cannot") return html`<p class="can bad"><${Icon} name="triangle-alert" /><span>${record.why?.what_to_do || record.why?.title}</span></p>`;
   if (phase === "recording") {
     const waits = Object.entries(record.waiting_for ?? {}).filter(([, code]) => !["not_due", "not_new"].includes(code));
     const [first] = waits;
@@ -52,6 +52,8 @@ export function Modes() {
     <legend class="visually-hidden">How to record</legend>
     <div class="mode-list">${MODES.map((one) => html`<label class="choice" title=${one.words}>
       <input type="radio" name="mode" value=${one.id} checked=${mode === one.id} onChange=${() => set({mode: one.id})} />${one.title}</label>`)}</div>
+    <label class="mode-select"><span class="visually-hidden">How to record</span><select value=${mode} onChange=${(e) => set({mode: e.currentTarget.value})}>
+      ${MODES.map((one) => html`<option value=${one.id}>${one.title}: ${one.words}</option>`)}</select></label>
     ${mode === "burst" && html`<label class="choice">How many
       <input type="number" min="1" max="1000" value=${count} onChange=${(e) => set({count: clamp(e.currentTarget.value, 1, 1000)})} /></label>`}
     ${mode === "every" && html`<label class="choice">Every

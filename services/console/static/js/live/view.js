@@ -42,7 +42,7 @@ function Cameras() {
       <${Stage} id=${`small-${name}`} camera=${name} />
       <${Caption} camera=${name} kind="rgb" header=${state.drawn.value[`small-${name}`]} />
       <span class="visually-hidden">Show ${name} large</span></button>`)}
-    <p class="small muted"><kbd>,</kbd> <kbd>.</kbd> change the camera · <kbd>0</kbd> ${state.allCameras.value ? "recording from all cameras" : "record from all"}</p>
+    <p class="small muted"><kbd aria-label="comma">,</kbd> <kbd aria-label="full stop">.</kbd> change the camera · <kbd>0</kbd> ${state.allCameras.value ? "recording from all cameras" : "record from all"}</p>
   </section>`;
 }
 

@@ -13,6 +13,7 @@ export function stateText() {
   const record = state.topics.record.value;
   if (phase === "recording") return `${runsFor(record, state.now.value)} · ${count(record.count)}`;
   if (phase === "finishing") return count(record.finishing);
+  if (phase === "asked") return `${Math.max(0, (state.askedUntil.value - state.now.value) / 1000).toFixed(0)} s`;
   return "";
 }
 

@@ -47,14 +47,16 @@ function Checklist({cameras, markers}) {
 
 function Camera({name, rig, now}) {
   const [icon, words, ok] = (now?.phase !== "opening" && FROM[now?.calibration]) || UNKNOWN;
-  const file = rig?.calibration?.file;
+  const {file, verdict, reasons, focal_percent: percent} = rig?.calibration ?? {};
   return html`<li class="panel camera"><${Stage} id=${`setup-${name}`} camera=${name} />
     <div class="stack"><h3>${name}</h3>
     <p>${now?.present ? html`<span class="good"><${Icon} name="check" /> ${now.phase}</span>` : html`<span class="warn"><${Icon} name="triangle-alert" /> ${now?.last_error ?? "no word from it yet"}</span>`}</p>
     <dl class="facts-list small"><dt>Driver</dt><dd>${now?.driver ?? rig?.driver}</dd>
       <dt>Picture</dt><dd class="number">${now ? `${now.width}×${now.height} at ${now.fps}/s${now.depth ? ", with depth" : ""}` : "–"}</dd>
       ${now?.serial && html`<dt>Serial</dt><dd><code>${now.serial}</code></dd>`}
-      <dt>Calibration</dt><dd><span class=${ok ? "good" : "warn"}><${Icon} name=${icon} /> ${words}</span>${file && html`<br /><code>${file}</code>`}</dd></dl>
+      <dt>Calibration</dt><dd><span class=${ok ? "good" : "warn"}><${Icon} name=${icon} /> ${words}</span>${file && html`<br /><code>${file}</code>`}</dd>
+      ${verdict && html`<dt>Verdict</dt><dd class=${verdict === "good" ? "good" : "warn"}>${verdict}${percent ? `, distances sure to ${percent.toFixed(2)} %` : ""}
+        ${reasons.map((one) => html`<br /><span class="muted">${one}</span>`)}</dd>`}</dl>
     <p><a class="button" href=${`/setup?calibrate=${encodeURIComponent(name)}`}>${isGuess(now) ? "Calibrate it, about 3 minutes" : "Calibrate"}<span class="visually-hidden"> ${name}</span></a></p></div></li>`;
 }
 

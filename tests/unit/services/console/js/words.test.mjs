@@ -12,6 +12,7 @@ test("the big button says what it does in each state, and can be pressed only wh
     assert.ok(button(phase, "one", {why: {title: "The disk is full."}}).disabled);
     assert.equal(button(phase, "one", {}).act, null);
   }
+  assert.equal(button("asked", "one", {}, true).act, "cancel", "what has not been ordered yet can be given up");
   assert.equal(button("cannot", "one", {why: {title: "The disk is full."}}).text, "The disk is full.");
   assert.deepEqual(Object.keys(STATE_WORDS).sort(), ["asked", "cannot", "finishing", "ready", "recording", "unknown"]);
 });
