@@ -72,3 +72,11 @@ def _largest_piece(mask: Mask) -> Array:
 def _overlap(one: Target, other: Target) -> bool:
     a, b = one.window, other.window
     return a.x_min < b.x_max and b.x_min < a.x_max and a.y_min < b.y_max and b.y_min < a.y_max
+
+
+def runs(mask: Mask) -> list[int]:
+    """COCO's run lengths of a mask (H, W), column by column, the first of zeros."""
+    flat = mask.ravel(order="F")
+    edges = np.flatnonzero(np.diff(np.concatenate([[False], flat, [False]]).astype(np.int8)))
+    runs = np.diff(np.concatenate([[0], edges, [len(flat)]]))
+    return [int(value) for value in (runs[:-1] if runs[-1] == 0 else runs)]

@@ -14,7 +14,9 @@ from typing import Any, ClassVar, NamedTuple
 import numpy as np
 
 from common.geometry import Box, Pose
+from tools.export.formats.bop_coco import SceneCoco
 from tools.export.formats.parts import Array, json_text, picture_file, read_json
+from tools.export.masks import runs
 from tools.export.model import Export, OutFile, ReadTarget, Shot, Target, Traits, Written, text_file
 from tools.export.pictures import png
 from tools.export.solid import diameter, ply, solid_of
@@ -55,23 +57,34 @@ class Bop:
                 path = PurePosixPath(f"{scene}/{kind}/{image:06d}_{number:06d}.png")
                 files.append(OutFile(path, key, data=data, size=len(data)))
         camera = {"cam_K": [float(value) for value in shot.camera.matrix.ravel()], "depth_scale": unit}
-        return Written(tuple(files), {"camera": camera, "info": info})
+        return Written(tuple(files), {"camera": camera, "info": info, "runs": [runs(seen) for _, seen in masks]})
 
     def index(self, export: Export, told: Sequence[Any]) -> list[OutFile]:
         """Each scene's JSON files, the models, the camera."""
         ids, places = object_ids(export), _places(export)
         scenes: dict[str, dict[str, dict[str, Any]]] = {}
+        coco: dict[str, SceneCoco] = {}
+        names = {number: name for name, _, number in _objects(export)}
         for shot in export.shots:
             scene, image = places[shot.stem]
             rows = scenes.setdefault(scene, {"scene_camera": {}, "scene_gt": {}, "scene_gt_info": {}})
             rows["scene_camera"][str(image)] = told[shot.number]["camera"]
             rows["scene_gt"][str(image)] = [_truth(target, ids) for target in shot.targets]
             rows["scene_gt_info"][str(image)] = told[shot.number]["info"]
+            coco.setdefault(scene, SceneCoco(names)).add(
+                image,
+                f"rgb/{image:06d}.{shot.change.extension}",
+                (shot.camera.width, shot.camera.height),
+                [row["obj_id"] for row in rows["scene_gt"][str(image)]],
+                told[shot.number]["info"],
+                told[shot.number]["runs"],
+            )
         files = [
             text_file(f"{scene}/{name}.json", json_text(plain))
             for scene, rows in scenes.items()
             for name, plain in rows.items()
         ]
+        files += [text_file(f"{scene}/scene_gt_coco.json", json_text(one.plain())) for scene, one in coco.items()]
         first = export.shots[0]
         k = first.camera.matrix
         camera = {"fx": k[0, 0], "fy": k[1, 1], "cx": k[0, 2], "cy": k[1, 2]}
@@ -79,11 +92,11 @@ class Bop:
         sizes = {"width": first.camera.width, "height": first.camera.height}
         boxes = {number: (name, box) for name, box, number in _objects(export)}
         models = {str(number): _model(box) for number, (_, box) in boxes.items()}
-        names = {str(number): {"class": name, "size_mm": list(box.size_mm)} for number, (name, box) in boxes.items()}
+        named = {str(number): {"class": name, "size_mm": list(box.size_mm)} for number, (name, box) in boxes.items()}
         files += [text_file(f"models/obj_{number:06d}.ply", ply(box)) for number, (_, box) in boxes.items()]
         files += [
             text_file("models/models_info.json", json_text(models)),
-            text_file(OBJECTS, json_text(names)),
+            text_file(OBJECTS, json_text(named)),
             text_file("camera.json", json_text({key: float(value) for key, value in camera.items()} | sizes)),
         ]
         if "test" in export.splits:

@@ -15,7 +15,7 @@ import numpy as np
 from common.geometry import CORNER_NAMES, EDGES
 from common.labels import Window
 from tools.export.formats.parts import Array, json_text, picture_file, read_json
-from tools.export.masks import Mask, covering, visible_mask
+from tools.export.masks import covering, runs, visible_mask
 from tools.export.model import Export, OutFile, ReadTarget, Shot, Target, Traits, Written, text_file
 
 _DIGITS = 3
@@ -92,7 +92,7 @@ def _file(shot: Shot) -> str:
 def _annotation(target: Target, shot: Shot, before: list[Target]) -> dict[str, Any]:
     if before:
         mask = visible_mask(shot, target, before)
-        segmentation: Any = {"size": [shot.camera.height, shot.camera.width], "counts": _runs(mask)}
+        segmentation: Any = {"size": [shot.camera.height, shot.camera.width], "counts": runs(mask)}
         area = float(mask.sum())
     else:
         corner = target.outline + 0.5
@@ -121,11 +121,3 @@ def _area(polygon: Array) -> float:
     """Of a polygon (N, 2). Method: the shoelace formula."""
     x, y = polygon.T
     return float(abs(x @ np.roll(y, -1) - y @ np.roll(x, -1)) / 2)
-
-
-def _runs(mask: Mask) -> list[int]:
-    """Run lengths of a mask (H, W), column by column, the first of zeros."""
-    flat = mask.ravel(order="F")
-    edges = np.flatnonzero(np.diff(np.concatenate([[False], flat, [False]]).astype(np.int8)))
-    runs = np.diff(np.concatenate([[0], edges, [len(flat)]]))
-    return [int(value) for value in (runs[:-1] if runs[-1] == 0 else runs)]

@@ -12,6 +12,7 @@ import pytest
 
 from common.errors import DatasetError
 from common.geometry import CameraModel, Pose
+from common.labels import DepthLabel
 from tests.support.recorded import (
     BOXES,
     HEIGHT,
@@ -89,6 +90,48 @@ def test_bop_masks_and_counts_are_what_the_depth_shows(session12: Path, tmp_path
     cut = [row for rows in info.values() for row in rows if row["bbox_obj"][0] < 0 <= row["bbox_visib"][0]]
     assert cut
     assert all(row["px_count_all"] > row["px_count_visib"] for row in cut)
+
+
+def test_bop_masks_are_told_to_coco_as_well(session12: Path, tmp_path: Path, export: Export) -> None:
+    """pycocotools, which reads this file in BOP's own evaluation, decodes the very masks."""
+    from pycocotools.coco import COCO
+
+    export("bop", session12, "--split", "none", out=tmp_path / "out")
+    scene = tmp_path / "out" / "train" / "000001"
+    coco, info = COCO(str(scene / "scene_gt_coco.json")), json.loads((scene / "scene_gt_info.json").read_text())
+    assert len(coco.getImgIds()) == 12
+    seen = 0
+    for image in coco.getImgIds():
+        assert (scene / coco.imgs[image]["file_name"]).is_file()
+        rows = coco.loadAnns(coco.getAnnIds(imgIds=[image]))
+        for number, (row, about) in enumerate(zip(rows, info[str(image)], strict=True)):
+            mask = cv2.imread(str(scene / "mask_visib" / f"{image:06d}_{number:06d}.png"), 0) > 0
+            assert (coco.annToMask(row).astype(bool) == mask).all()
+            assert row["ignore"] == (about["visib_fract"] < 0.1)
+            seen += int(mask.sum())
+    assert seen > 0
+
+
+@pytest.mark.parametrize("name", ["bop", "kitti", "dope", "singleshotpose"])
+def test_a_fisheye_becomes_a_pinhole(tmp_path: Path, export: Export, name: str) -> None:
+    """Formats without a lens get undistorted pictures: what is painted through the fisheye lies where they say."""
+    camera = camera_label(distortion=(0.06, -0.03, 0.01, -0.002)).model_copy(update={"model": "fisheye"})
+    painter, unit, rows = Painter(camera), DepthLabel(unit_mm=1.0), []
+    for number in range(6):
+        poses = moving(number)
+        rows.append((label_of(number, poses, camera=camera, depth=unit), painter.paint(poses)))
+    write_session(tmp_path / "s", rows)
+    told = export(name, tmp_path / "s", "--split", "none", out=tmp_path / "out")
+    assert told["checks"]["wrong"] == []
+    if name != "kitti":  # whose loss of roll and pitch is told
+        assert told["checks"]["reprojection"]["worst_px"] <= 0.5
+    if name == "bop":
+        scene = tmp_path / "out" / "train" / "000001"
+        for image in range(6):
+            depth = cv2.imread(str(scene / "depth" / f"{image:06d}.png"), cv2.IMREAD_UNCHANGED)
+            masks = [cv2.imread(str(path), 0) > 0 for path in sorted((scene / "mask_visib").glob(f"{image:06d}_*.png"))]
+            shown, truth = np.logical_or.reduce(masks), (depth > 0) & (depth < 4000)
+            assert (shown & truth).sum() / (shown | truth).sum() > 0.9
 
 
 def test_a_broken_rule_of_bop_is_found(session12: Path, tmp_path: Path, export: Export) -> None:
