@@ -71,6 +71,9 @@ def run_folder(rig: Rig | None) -> Iterator[Finding]:
         yield bad("run folder", error.message, "set TAGMILL_RUN_DIR to a short path in a folder of yours")
         return
     yield good("run folder", f"{endpoints.run_dir}, open to this user only")
+    if os.getuid() == 0:
+        cure = "a stack needs no rights of root: run it as a user in the groups video and plugdev"
+        yield warning("user", "this is root", cure)
 
 
 def _existing(folder: Path) -> Path:
