@@ -22,7 +22,7 @@ from tools.proof.scenes import BARE, CAMERA, DEPTH, HEIGHT, MARKED, RIG, WIDTH
 from tools.stack.running import running_stack, wait_ready
 
 _READY_S = 180.0
-_CAMERA = "cam0"
+CAMERA_NAME = "cam0"
 _LIMIT_S = 1800.0
 VARIANTS = ("marker-free", "erased", "raw")
 """What the detectors are trained on: the same frames and labels, other pictures."""
@@ -48,7 +48,7 @@ def record(frames: Path, out: Path) -> Recorded:
         with running_stack(rig, out / "stack.log"):
             client = CommandClient(Endpoints.of(load_rig(rig).config.network), timeout_s=5.0)
             try:
-                wait_ready(client, {_CAMERA}, _READY_S)
+                wait_ready(client, {CAMERA_NAME}, _READY_S)
             finally:
                 client.close()
             ledger = tagmill_json("start", "--camera", "all", "--wait", "--rig", str(rig))["ledger"]
@@ -65,7 +65,7 @@ def _write_rig(frames: Path, out: Path) -> Path:
     (out / "camera.yaml").write_text(yaml.safe_dump(calibration, sort_keys=False))
     rig = yaml.safe_load(RIG.read_text(encoding="utf-8"))
     rig["cameras"] = {
-        _CAMERA: {
+        CAMERA_NAME: {
             "driver": "files",
             "path": str(frames / MARKED),
             "depth_path": str(frames / DEPTH),

@@ -15,7 +15,7 @@ from pathlib import Path
 from rich.console import Console
 
 from common.errors import EXIT_OK, EXIT_REFUSED, EXIT_USAGE, TagmillError
-from tools.proof.record import export, record
+from tools.proof.record import CAMERA_NAME, export, record
 from tools.proof.scenes import Room, class_names, render_test, render_training
 from tools.proof.score import score
 from tools.proof.show import REPORT, judge, plain, show, write_sheet
@@ -78,6 +78,8 @@ def _prove(args: argparse.Namespace, python: Path, out: Path, console: Console) 
         console.print("Recording what the camera sees with the stack, and exporting it ...")
         recorded = record(frames, out)
         sets = export(recorded, frames, out)
+    account = recorded.ledger["cameras"][CAMERA_NAME]
+    console.print(f"{account['captured']} frames captured, {account['recorded']} recorded")
     write_sheet(sets, class_names(), out / "sheet.png")
     with _timed(seconds, "three trainings and their tests"):
         console.print(f"Training on {', '.join(sets)} pictures, side by side (each writes {out}/train-*.log) ...")
