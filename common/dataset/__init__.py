@@ -1,6 +1,6 @@
 """The dataset on disk: names, ``session.json``, durable writing, reading. One package for store and tools."""
 
-from common.dataset.durable import is_temporary, make_folder, sync_folder, write_bytes, write_json
+from common.dataset.durable import append_bytes, is_temporary, make_folder, sync_folder, write_bytes, write_json
 from common.dataset.layout import (
     FOLDERS,
     LABELS,
@@ -28,6 +28,7 @@ __all__ = [
     "SessionFile",
     "SessionReader",
     "StackLife",
+    "append_bytes",
     "is_temporary",
     "label_path",
     "label_schema",

@@ -7,13 +7,12 @@ ledger still adds up, and nothing that comes late can bring a removed sample bac
 from __future__ import annotations
 
 import json
-import os
 from collections.abc import Iterable, Mapping
 from pathlib import Path
 
 from common.bounded import parse_json
 from common.dataset.bin import bin_of, labelled, names_in
-from common.dataset.durable import sync_folder
+from common.dataset.durable import append_bytes, sync_folder
 from common.dataset.layout import FOLDERS, LABELS, sample_of_label, sample_of_picture
 from common.dataset.layout import PICTURES as _PICTURES
 from common.ids import is_sample_name
@@ -47,7 +46,7 @@ def empty(session: Path, recordings: Mapping[str, str | None]) -> int:
     names = sorted(labelled(bin_of(session)) - known.keys())
     lines = [json.dumps({"sample": name, "recording": recordings.get(name)}).encode() + b"\n" for name in names]
     if lines:
-        _append(bin_of(session) / REMOVED_FILE, b"".join(lines))
+        append_bytes(bin_of(session) / REMOVED_FILE, b"".join(lines))
     return finish_removal(session, {*known, *names})
 
 
@@ -68,24 +67,3 @@ def _sample_of(folder: str, name: str) -> str | None:
     if folder == LABELS:
         return sample_of_label(name)
     return next((sample_of_picture(kind, name) for kind in _PICTURES if kind == folder), None)
-
-
-def _append(path: Path, data: bytes) -> None:
-    created = not path.exists()
-    descriptor = os.open(path, os.O_RDWR | os.O_APPEND | os.O_CREAT | os.O_CLOEXEC, 0o644)
-    try:
-        begin = os.fstat(descriptor).st_size
-        if begin and os.pread(descriptor, 1, begin - 1) != b"\n":
-            data = b"\n" + data
-        try:
-            rest = memoryview(data)
-            while rest:
-                rest = rest[os.write(descriptor, rest) :]
-            os.fsync(descriptor)
-        except OSError:
-            os.ftruncate(descriptor, begin)
-            raise
-    finally:
-        os.close(descriptor)
-    if created:
-        sync_folder(path.parent)

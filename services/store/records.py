@@ -8,11 +8,12 @@ from __future__ import annotations
 import os
 from collections import Counter
 from collections.abc import Iterable
+from itertools import accumulate
 from pathlib import Path
 
 from pydantic import ValidationError
 
-from common.dataset import RECORDS_FILE, sync_folder
+from common.dataset import RECORDS_FILE, append_bytes
 from common.errors import DatasetError
 from common.ledgers import CameraLedger, Ledger
 
@@ -44,20 +45,9 @@ class Records:
         ]
         if not new:
             return []
-        created = not self._path.exists()
-        descriptor = os.open(self._path, os.O_WRONLY | os.O_APPEND | os.O_CREAT | os.O_CLOEXEC, 0o644)
-        try:
-            begin = os.fstat(descriptor).st_size
-            try:
-                places = _write(descriptor, begin, new)
-                os.fsync(descriptor)
-            except OSError:
-                os.ftruncate(descriptor, begin)
-                raise
-        finally:
-            os.close(descriptor)
-        if created:
-            sync_folder(self._path.parent)
+        lines = [entry.model_dump_json().encode() + b"\n" for entry in new]
+        begin = append_bytes(self._path, b"".join(lines))
+        places = accumulate((len(line) for line in lines[:-1]), initial=begin)
         for entry, place in zip(new, places, strict=True):
             self._enter(entry, place)
         return new
@@ -114,14 +104,3 @@ def _sum(one: CameraLedger | None, other: CameraLedger) -> CameraLedger:
         dropped=dict(Counter(one.dropped) + Counter(other.dropped)),
         pending=one.pending + other.pending,
     )
-
-
-def _write(descriptor: int, begin: int, entries: Iterable[Ledger]) -> list[int]:
-    data, places = b"", []
-    for entry in entries:
-        places.append(begin + len(data))
-        data += entry.model_dump_json().encode() + b"\n"
-    rest = memoryview(data)
-    while rest:
-        rest = rest[os.write(descriptor, rest) :]
-    return places

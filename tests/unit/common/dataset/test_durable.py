@@ -8,7 +8,7 @@ from pathlib import Path
 
 import pytest
 
-from common.dataset import is_temporary, write_bytes, write_json
+from common.dataset import append_bytes, is_temporary, write_bytes, write_json
 from common.dataset.durable import temporary_path
 from tests.support.mounts import make_read_only, small_disk
 
@@ -101,3 +101,21 @@ def test_json_has_no_nan(tmp_path: Path) -> None:
 @pytest.mark.parametrize("name", ["a.bin", ".hidden", "x.tmp", "label_20260830T120431.120Z-cam0-1.json"])
 def test_other_files_are_not_taken_for_temporary_ones(name: str) -> None:
     assert not is_temporary(name)
+
+
+def test_lines_are_added_whole_and_after_a_line_that_was_cut_off(tmp_path: Path) -> None:
+    path = tmp_path / "lines.jsonl"
+    assert append_bytes(path, b"one\n") == 0
+    assert append_bytes(path, b"two\nthree\n") == 4
+    with path.open("ab") as file:
+        file.write(b"cut of")
+    assert append_bytes(path, b"four\n") == path.read_bytes().index(b"four")
+    assert path.read_bytes().splitlines() == [b"one", b"two", b"three", b"cut of", b"four"]
+
+
+def test_what_can_not_be_added_whole_is_not_there(tmp_path: Path) -> None:
+    path = tmp_path / "lines.jsonl"
+    append_bytes(path, b"one\n")
+    with file_size_limit(100), pytest.raises(OSError, match="too large"):
+        append_bytes(path, b"x" * 200 + b"\n")
+    assert path.read_bytes() == b"one\n"
