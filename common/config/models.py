@@ -175,7 +175,7 @@ class SyntheticOptions(Section):
     ``view``: degrees by which this camera went round the scene's middle; cameras of one seed see one scene.
     ``board``: a calibration board's description; the camera shows that board, held at one pose after another, and no
     object. ``light`` and ``clutter``: 0 even and unchanging, bare ... 1 one lamp that wanders, much lies and hangs
-    about.
+    about. ``cable``: while a file of this name is there, the camera is unplugged.
     """
 
     seed: int = 1
@@ -195,6 +195,7 @@ class SyntheticOptions(Section):
     frames: Annotated[int, Field(ge=1)] | None = None
     prerendered: Annotated[int, Field(ge=0, le=10000)] = 0
     pace: Literal["fps", "consumer"] = "fps"
+    cable: Path | None = None
 
     @field_validator("distortion")
     @classmethod

@@ -22,7 +22,7 @@ class Warned(Part):
 class ServiceState(Message):
     """A service's heartbeat. ``dropped`` counts by place since start, ``rates`` are per second.
 
-    ``texts`` are what is no number (the store's ``session``).
+    ``texts`` are what is no number (the store's ``session``, and the code of its ``problem``).
     """
 
     service: str

@@ -91,6 +91,12 @@ class Stack:
         self.recordings.tidy(now_ns, self.roll_call.beats)
 
     @property
+    def dataset_is_gone(self) -> bool:
+        """Whether the store says that its session's folder was taken away."""
+        store = self.roll_call.heard.get("store")
+        return store is not None and store.state.texts.get("problem") == "no_dataset"
+
+    @property
     def known_cameras(self) -> tuple[str, ...]:
         """The rig's cameras and those that announced themselves."""
         return tuple(sorted({*self.rig.config.cameras, *self.cameras}))

@@ -41,8 +41,12 @@ class StackHandlers:
         return help_answer()
 
     def session(self, command: SessionCommand) -> Talk:
-        """The store opens the session; it is refused while something is being recorded."""
-        self._refuse_while_recording("another session can't be opened")
+        """The store opens the session; it is refused while something is being recorded.
+
+        But where the open session's folder is gone: no recording could be ended there, so they go on in the new one.
+        """
+        if not self._stack.dataset_is_gone:
+            self._refuse_while_recording("another session can't be opened")
         order = SessionOrder(
             key=self._keys.new("session"), name=command.name, new_if_different=command.new_if_different
         )

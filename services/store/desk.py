@@ -256,7 +256,8 @@ class OrderDesk:
             self._refuse(return_, order, _info(error))
 
     def _require_nothing_running(self) -> None:
-        running = () if self._keeper.book is None else self._keeper.book.running()
+        # Where the folder is gone no recording can be ended, and another session is the only way on.
+        running = () if self._keeper.book is None or self._keeper.gone else self._keeper.book.running()
         if running:
             raise RefusedError(
                 f"recording {running[0]} is running; stop it before another session is opened", code="wrong_state"

@@ -101,6 +101,11 @@ class SessionKeeper:
         return found
 
     @property
+    def gone(self) -> bool:
+        """Whether the open session's folder was taken away: nothing can be ended in it any more."""
+        return self.disk.problem is not None and self.disk.problem.code == NO_DATASET
+
+    @property
     def settled(self) -> bool:
         """Whether nobody waits for ``session.json``, and it is written (or can't be)."""
         if self._writing or self._waiters or self.phase is Phase.OPENING:
@@ -114,7 +119,7 @@ class SessionKeeper:
 
         A present one whose folder was deleted is given up first, so that it can be opened anew.
         """
-        if self.disk.problem is not None and self.disk.problem.code == NO_DATASET:
+        if self.gone:
             self.close()
         self._before = None if self._wanted is None or self.refusal is None else (self._wanted, self.refusal)
         self._wanted, self._opened_then = wanted, then
@@ -233,7 +238,8 @@ class SessionKeeper:
             done.result()
         except OSError as error:
             info = explain(error, session.folder)
-            self._log.error("session.not_written", code=info.code, reason=info.message)
+            if not self._write_failed:  # label asks again every second, for each recording that can't be ended
+                self._log.error("session.not_written", code=info.code, reason=info.message)
             self._next_write_ns, self._next_look_ns = now + _RETRY_EVERY_NS, 0
             self._write_failed = True
             waiters, self._waiters = self._waiters, []

@@ -174,7 +174,8 @@ class StoreService:
             rates={"stored": desk.stored.per_second()},
             dropped=desk.refused.as_dict() | ({"bus_full": lost} if (lost := self._publisher.dropped) else {}),
             numbers=numbers,
-            texts={} if keeper.book is None else {"session": keeper.book.name},
+            texts=({} if keeper.book is None else {"session": keeper.book.name})
+            | ({} if problem is None else {"problem": problem.code}),
             last_error=None if problem is None else problem.message,
             faulty=problem is not None,
             warnings=tuple(self._warned.values()),

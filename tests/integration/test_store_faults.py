@@ -309,6 +309,29 @@ def test_a_deleted_session_is_refused_until_it_is_opened_again(
     check_whole(session_of(stack), third)
 
 
+def test_a_recording_goes_on_in_another_session_where_its_own_is_gone(
+    stack: Stack, label_side: StoreSide, listener: Listener
+) -> None:
+    store = start(stack)
+    label_side.answer_to(label_side.store(1))
+    assert label_side.answer_to(label_side.ledger(spec(), CameraLedger(captured=2, recorded=1))).error is None
+    refused = label_side.session("tuesday").error
+    assert refused is not None
+    assert refused.code == "wrong_state", "as long as it could be ended"
+    shutil.rmtree(session_of(stack))
+    wait_for_fault(listener, "is not there any more")
+    for captured in (3, 4, 5):
+        key = label_side.ledger(spec(), CameraLedger(captured=captured, recorded=1), ended=True)
+        assert label_side.error_of(key).code == "no_dataset"
+    assert len(store.events("session.not_written")) == 1, "said once, not at each attempt"
+    assert label_side.session("tuesday").text == "tuesday"
+    answer = label_side.answer_to(
+        label_side.ledger(spec(), CameraLedger(captured=5, recorded=1, refused={"no_dataset": 4}), ended=True)
+    )
+    assert answer.ledgers[0].phase == "ended"
+    listener.wait_for_state("store", "running")
+
+
 def test_a_late_repeat_of_a_refused_order_is_not_written_with_other_pixels(stack: Stack, label_side: StoreSide) -> None:
     start(stack)
     label_side.answer_to(label_side.store(1))

@@ -15,6 +15,10 @@ BENCHES = {
     "render": "tools.bench.render",
     "console": "tools.bench.console",
     "record": "tools.bench.record",
+    "chaos": "tools.bench.chaos.command",
+    "bus": "tools.bench.bus.command",
+    "torn": "tools.bench.torn",
+    "soak": "tools.bench.soak",
 }
 
 

@@ -26,7 +26,7 @@ from common.config import load_rig
 from common.errors import EXIT_OK, EXIT_USAGE, TagmillError
 from common.topics import CAMERA, DETECTIONS, LABELS, SERVICE
 from tools.bench.load_counter import CameraLoad, LoadCounter
-from tools.bench.load_table import print_load
+from tools.bench.load_table import print_growth, print_load
 from tools.bench.processes import Usage, usage_between, usage_now
 from tools.stack.running import running_stack, wait_ready
 
@@ -37,7 +37,9 @@ _OBJECTS = Path(__file__).resolve().parents[1] / "demo" / "rig.yaml"
 
 def add_parser(parser: argparse.ArgumentParser) -> None:
     """The benchmark's own arguments."""
-    parser.add_argument("--cameras", type=int, default=4)
+    parser.add_argument(
+        "--cameras", default="4", help="how many; 1,2,4,8: one measurement each, and where it saturates"
+    )
     parser.add_argument("--fps", type=float, default=30.0)
     parser.add_argument("--size", default="1280x720", help="WxH")
     parser.add_argument("--seconds", type=float, default=30.0, help="measured, after a warm-up of 4 s")
@@ -45,8 +47,9 @@ def add_parser(parser: argparse.ArgumentParser) -> None:
     parser.add_argument(
         "--stall-store", action="store_true", help="stop the store process for 20 s (or 2/3 of the time) and record"
     )
-    parser.add_argument("--detect-workers", type=int, default=1)
-    parser.add_argument("--label-workers", type=int, default=1)
+    parser.add_argument("--workers", type=int, default=1, help="detect and label processes that share the cameras")
+    parser.add_argument("--detect-workers", type=int, help="another number of detect processes")
+    parser.add_argument("--label-workers", type=int, help="another number of label processes")
     parser.add_argument("--seed", type=int, default=1)
 
 
@@ -63,31 +66,44 @@ class Load:
 def run(args: argparse.Namespace) -> int:
     """Measure and print."""
     size = re.fullmatch(r"(\d+)x(\d+)", args.size)
-    if size is None or args.cameras < 1 or args.seconds <= 0:
-        print("bench load: --size is WxH, --cameras at least 1, --seconds above 0")
+    counts = [int(count) for count in args.cameras.split(",")] if re.fullmatch(r"\d+(,\d+)*", args.cameras) else [0]
+    if size is None or min(counts) < 1 or args.seconds <= 0 or args.workers < 1:
+        print("bench load: --size is WxH, --cameras like 4 or 1,2,4,8, --seconds above 0, --workers at least 1")
         return EXIT_USAGE
+    loads = {count: _load(count, (int(size[1]), int(size[2])), args) for count in counts}
+    if args.json:
+        plain = {str(count): asdict(load) for count, load in loads.items()}
+        print(json.dumps(plain if len(counts) > 1 else asdict(loads[counts[0]])))
+        return EXIT_OK
+    for count, load in loads.items():
+        print_load(load, {**vars(args), "cameras": count})
+    if len(counts) > 1:
+        print_growth(loads)
+    return EXIT_OK
+
+
+def _load(cameras: int, size: tuple[int, int], args: argparse.Namespace) -> Load:
+    """One measurement with a stack of its own."""
     with tempfile.TemporaryDirectory(prefix="tagmill-load-") as folder:
         os.environ["TAGMILL_RUN_DIR"] = folder
         os.environ["TAGMILL_PREFIX"] = f"load-{os.getpid()}"
-        rig = write_rig(Path(folder), args, (int(size[1]), int(size[2])))
+        rig = write_rig(Path(folder), args, cameras, size)
         environment = {"TAGMILL_LABEL_DELAY_MS": str(args.label_delay_ms)}
         log = Path(folder) / "stack.log"
         try:
             with running_stack(rig, log, environment):
-                load = measure(rig, args)
+                return measure(rig, cameras, args)
         except TagmillError:
             print(log.read_text()[-4000:])
             raise
-    print(json.dumps(asdict(load))) if args.json else print_load(load, vars(args))
-    return EXIT_OK
 
 
-def write_rig(folder: Path, args: argparse.Namespace, size: tuple[int, int]) -> Path:
+def write_rig(folder: Path, args: argparse.Namespace, cameras: int, size: tuple[int, int]) -> Path:
     """The demo's objects, and as many synthetic cameras as asked for."""
     rig = yaml.safe_load(_OBJECTS.read_text())
     rig["dataset"] = {"root": "./dataset", "session": "load"}
     rig["network"] = {"console": None}
-    rig["workers"] = {"detect": args.detect_workers, "label": args.label_workers}
+    rig["workers"] = {"detect": args.detect_workers or args.workers, "label": args.label_workers or args.workers}
     rig["cameras"] = {
         f"cam{index}": {
             "driver": "synthetic",
@@ -97,17 +113,17 @@ def write_rig(folder: Path, args: argparse.Namespace, size: tuple[int, int]) -> 
             "seed": args.seed + index,
             "prerendered": 16,
         }
-        for index in range(args.cameras)
+        for index in range(cameras)
     }
     path = folder / "load.yaml"
     path.write_text(yaml.safe_dump(rig))
     return path
 
 
-def measure(rig: Path, args: argparse.Namespace) -> Load:
+def measure(rig: Path, cameras: int, args: argparse.Namespace) -> Load:
     """Warm up, count for the given time, and say what each process cost."""
     endpoints = Endpoints.of(load_rig(rig).config.network)
-    names = [f"cam{index}" for index in range(args.cameras)]
+    names = [f"cam{index}" for index in range(cameras)]
     subscriber = Subscriber(endpoints)
     client = CommandClient(endpoints, timeout_s=5.0)
     try:

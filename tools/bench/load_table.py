@@ -10,6 +10,7 @@ from rich.table import Table
 
 if TYPE_CHECKING:
     from tools.bench.load import Load
+    from tools.bench.load_counter import CameraLoad
 
 
 def print_load(load: Load, options: Mapping[str, Any]) -> None:
@@ -46,3 +47,48 @@ def print_load(load: Load, options: Mapping[str, Any]) -> None:
     if load.records:
         answers = ", ".join(f"{what} {count}" for what, count in sorted(load.records.items()))
         console.print(f"Record orders while the store stood still and after: {answers}")
+
+
+_KEPT_UP = 0.95
+
+
+def print_growth(loads: Mapping[int, Load]) -> None:
+    """How cost and latency grow with the cameras, and from how many on the machine no longer keeps up."""
+    console = Console(highlight=False)
+    table = Table(title="Growth: all cameras together")
+    for heading in ("cameras", "captured", "labelled", "p50 / p99 ms, the slowest camera", "CPU %", "CPU % a camera"):
+        table.add_column(heading, justify="right")
+    for count, load in loads.items():
+        cameras = load.cameras.values()
+        captured, labelled = (_share(load, what) for what in ("captured", "labelled"))
+        cpu = sum(usage.cpu_percent for usage in load.processes.values())
+        p50, p99 = (max(_late(camera, which) for camera in cameras) for which in (50, 99))
+        table.add_row(
+            str(count),
+            f"{captured:.1%}",
+            f"{labelled:.1%}",
+            f"{p50:.1f} / {p99:.1f}",
+            f"{cpu:.0f}",
+            f"{cpu / count:.0f}",
+        )
+    console.print(table)
+    late = [
+        count for count, load in loads.items() if min(_share(load, "captured"), _share(load, "labelled")) < _KEPT_UP
+    ]
+    if late:
+        what = "captures" if _share(loads[min(late)], "captured") < _KEPT_UP else "labels"
+        console.print(
+            f"Saturated at {min(late)} cameras: the stack {what} less than {_KEPT_UP:.0%} of the frames offered"
+        )
+    else:
+        console.print(f"Not saturated: of every camera at least {_KEPT_UP:.0%} of the frames were labelled")
+
+
+def _share(load: Load, what: str) -> float:
+    """The least share of any camera's offered frames. A camera's states tell whole seconds, so it may pass 1."""
+    return min(getattr(camera, what) / max(camera.offered, 1) for camera in load.cameras.values())
+
+
+def _late(camera: CameraLoad, which: int) -> float:
+    late = camera.latency_p50_ms if which == 50 else camera.latency_p99_ms
+    return float("nan") if late is None else late

@@ -7,6 +7,7 @@ import numpy as np
 from common.boards import read_board
 from common.config import Rig
 from common.config.models import CameraConfig, SyntheticOptions
+from common.errors import CameraError
 from common.geometry import CameraModel
 from common.labels import CameraLabel
 from common.markers import family
@@ -30,6 +31,8 @@ class SyntheticCamera:
 
     def __init__(self, name: str, config: CameraConfig, rig: Rig) -> None:
         self._options = options = read_options(name, config, SyntheticOptions)
+        self._cable = None if options.cable is None else rig.resolve(options.cable)
+        self._check_cable()
         self._fps = config.fps or FPS
         self._label, self._warnings = _intrinsics(name, config, options, rig)
         model = CameraModel.from_label(self._label)
@@ -54,6 +57,7 @@ class SyntheticCamera:
 
     def grab(self, timeout_s: float) -> Grabbed:
         """See Camera."""
+        self._check_cable()
         if self._options.frames is not None and self._next >= self._options.frames:
             raise EndOfStreamError(f"{self._label.name}: all {self._options.frames} frames were given")
         if not self._paced and not self._pacer.wait(timeout_s):
@@ -75,6 +79,10 @@ class SyntheticCamera:
     def close(self) -> None:
         """See Camera; nothing is held."""
         self._ahead = []
+
+    def _check_cable(self) -> None:
+        if self._cable is not None and self._cable.exists():
+            raise CameraError(f"the synthetic camera is unplugged; remove the file {self._cable} to plug it in again")
 
     def _frame(self, number: int) -> Rendered:
         ahead = self._ahead

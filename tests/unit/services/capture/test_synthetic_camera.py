@@ -14,7 +14,7 @@ import numpy as np
 import pytest
 
 from common.config import load_rig
-from common.errors import ConfigError
+from common.errors import CameraError, ConfigError
 from common.geometry import CameraModel, Pose
 from common.scene import read_number
 from services.capture.cameras.base import Camera, EndOfStreamError, Grabbed
@@ -127,6 +127,19 @@ def test_the_burnt_number_is_the_frames_own(tmp_path: Path) -> None:
     rig = load_rig(path)
     camera = open_camera("cam0", rig.camera("cam0"), rig)
     assert [read_number(frame.bgr) for frame in take(camera, 5)] == [0, 1, 2, 3, 4]
+
+
+def test_while_its_cable_is_out_it_gives_nothing(opened: Open, tmp_path: Path) -> None:
+    camera = opened("cable: out, fps: 200")
+    take(camera, 1)
+    cable = tmp_path / "out"
+    cable.touch()
+    with pytest.raises(CameraError, match=f"remove the file {cable}"):
+        camera.grab(1.0)
+    with pytest.raises(CameraError, match="unplugged"):
+        opened("cable: out")
+    cable.unlink()
+    take(camera, 1)
 
 
 def test_a_second_view_sees_the_same_scene_from_the_side(opened: Open) -> None:

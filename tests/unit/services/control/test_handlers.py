@@ -17,7 +17,7 @@ from common.messages import Answer, ErrorInfo
 from services.control.conversations import Keys, Talk
 from services.control.service import handlers
 from services.control.stack import SETTLE_AT_LATEST_NS, Stack
-from tests.unit.services.control.known import SECOND, camera, service
+from tests.unit.services.control.known import SECOND, camera, ledger, recording_state, service, spec
 
 NOW = SETTLE_AT_LATEST_NS
 RIG = """\
@@ -78,6 +78,15 @@ def test_no_session_is_opened_while_a_request_wants_several_samples(stack: Stack
         record.close()
     single = table["record"](RecordCommand(camera="cam0"))
     next(single)
+    next(table["session"](SessionCommand(name="tuesday")))
+
+
+def test_a_session_is_opened_instead_of_one_that_is_gone_though_a_recording_can_not_be_ended(stack: Stack) -> None:
+    """`stop` is refused with `no_dataset` and the advice to open another session."""
+    table = handlers(stack, Keys("b"))
+    stack.hear(recording_state(ledger(spec("rec-a", "cam0"), "finishing", cam0=3)), "label.0", NOW)
+    assert refused(table["session"](SessionCommand(name="tuesday"))) == "wrong_state"
+    stack.hear(service("store", texts={"session": "monday", "problem": "no_dataset"}), "store", NOW)
     next(table["session"](SessionCommand(name="tuesday")))
 
 

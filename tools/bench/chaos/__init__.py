@@ -1,0 +1,1 @@
+"""`tagmill bench chaos`: recordings while everything goes wrong, and a judge who trusts nobody."""
