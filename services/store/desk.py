@@ -257,8 +257,7 @@ class OrderDesk:
 
     def _require_nothing_running(self) -> None:
         # Where the folder is gone no recording can be ended, and another session is the only way on.
-        running = () if self._keeper.book is None or self._keeper.gone else self._keeper.book.running()
-        if running:
+        if (book := self._keeper.book) is not None and not self._keeper.disk.gone and (running := book.running()):
             raise RefusedError(
                 f"recording {running[0]} is running; stop it before another session is opened", code="wrong_state"
             )

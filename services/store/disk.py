@@ -7,7 +7,7 @@ import os
 from dataclasses import dataclass
 from pathlib import Path
 
-from common.dataset.faults import DISK_FULL, SENTENCES, explain
+from common.dataset.faults import DISK_FULL, NO_DATASET, SENTENCES, explain
 from common.errors import RefusedError
 from common.messages import ErrorInfo
 
@@ -21,6 +21,11 @@ class DiskState:
 
     free_bytes: int | None
     problem: ErrorInfo | None = None
+
+    @property
+    def gone(self) -> bool:
+        """Whether the session's folder was taken away: nothing can be ended in it any more."""
+        return self.problem is not None and self.problem.code == NO_DATASET
 
 
 def free_bytes(folder: Path) -> int:

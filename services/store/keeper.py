@@ -10,7 +10,7 @@ from structlog.typing import FilteringBoundLogger
 
 from common import clock
 from common.dataset import FOLDERS, SESSION_FILE, write_bytes
-from common.dataset.faults import DISK_ERROR, NO_DATASET, explain
+from common.dataset.faults import DISK_ERROR, explain
 from common.dataset.locks import SESSION_BUSY
 from common.errors import RefusedError, TagmillError
 from common.messages import ErrorInfo
@@ -101,11 +101,6 @@ class SessionKeeper:
         return found
 
     @property
-    def gone(self) -> bool:
-        """Whether the open session's folder was taken away: nothing can be ended in it any more."""
-        return self.disk.problem is not None and self.disk.problem.code == NO_DATASET
-
-    @property
     def settled(self) -> bool:
         """Whether nobody waits for ``session.json``, and it is written (or can't be)."""
         if self._writing or self._waiters or self.phase is Phase.OPENING:
@@ -119,7 +114,7 @@ class SessionKeeper:
 
         A present one whose folder was deleted is given up first, so that it can be opened anew.
         """
-        if self.gone:
+        if self.disk.gone:
             self.close()
         self._before = None if self._wanted is None or self.refusal is None else (self._wanted, self.refusal)
         self._wanted, self._opened_then = wanted, then

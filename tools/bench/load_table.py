@@ -86,7 +86,7 @@ def print_growth(loads: Mapping[int, Load]) -> None:
 
 def _share(load: Load, what: str) -> float:
     """The least share of any camera's offered frames. A camera's states tell whole seconds, so it may pass 1."""
-    return min(getattr(camera, what) / max(camera.offered, 1) for camera in load.cameras.values())
+    return float(min(getattr(camera, what) / max(camera.offered, 1) for camera in load.cameras.values()))
 
 
 def _late(camera: CameraLoad, which: int) -> float:

@@ -123,7 +123,7 @@ def _write(pipe: Connection, name: str) -> None:
                 np.copyto(colour, pattern[: colour.size])
                 np.copyto(depth.reshape(-1).view(np.uint8), pattern[colour.size :])
                 # Last of all: the checksum of what should be there, not of what is.
-                depth.reshape(-1).view(np.uint8)[-8:].view(np.uint64)[0] = zlib.crc32(pattern[:-_SIGNED_BYTES])
+                depth.reshape(-1).view(np.uint8)[-8:].view(np.uint64)[0] = zlib.crc32(pattern[:-_SIGNED_BYTES].data)
 
             ring.write(None, fill=fill)
         pipe.send(ring.newest)
@@ -160,5 +160,5 @@ def _fits(bgr: Bytes, depth: NDArray[np.uint16], number: int) -> bool:
     colour, far = bgr.reshape(-1), depth.reshape(-1).view(np.uint8)
     if int(colour[:8].view(np.uint64)[0]) != number:
         return False
-    checksum = zlib.crc32(far[:-_SIGNED_BYTES], zlib.crc32(colour))
+    checksum = zlib.crc32(far[:-_SIGNED_BYTES].data, zlib.crc32(colour.data))
     return checksum == int(far[-8:].view(np.uint64)[0])

@@ -47,11 +47,15 @@ class Journal:
 
 
 class Clients:
-    """Two clients, one that starts and stops recordings, one that orders single samples, for the length of a block."""
+    """Two clients, one that starts and stops recordings, one that orders single samples, for the length of a block.
+
+    While ``quiet`` is set they give no new orders.
+    """
 
     def __init__(self, endpoints: Endpoints, journal: Journal, seed: int, *, short: bool) -> None:
         self._endpoints, self._journal = endpoints, journal
         self._longest_s = 2.0 if short else 8.0
+        self.quiet = threading.Event()
         self._over = threading.Event()
         self._threads = [
             threading.Thread(target=run, args=(random.Random(seed + number),), name=f"client-{number}")  # noqa: S311
@@ -70,7 +74,9 @@ class Clients:
 
     def _recordings(self, chance: random.Random) -> None:
         with CommandClient(self._endpoints) as client:
-            while not self._over.is_set():
+            while not self._over.wait(0.05):
+                if self.quiet.is_set():
+                    continue
                 request = {
                     "command": "start",
                     "camera": chance.choice((*CAMERAS, "all", "all")),
@@ -86,6 +92,8 @@ class Clients:
     def _records(self, chance: random.Random) -> None:
         with CommandClient(self._endpoints) as client:
             while not self._over.wait(chance.uniform(0.1, 1.0)):
+                if self.quiet.is_set():
+                    continue
                 request = {
                     "command": "record",
                     "camera": chance.choice((*CAMERAS, "all")),

@@ -94,8 +94,8 @@ def _run(ground: Ground, plan: tuple[Fault, ...], args: argparse.Namespace) -> R
         stack.up()
         try:
             stack.wait_ready()
-            with Clients(stack.endpoints, journal, args.seed, short=args.short):
-                storm.run(plan, 60 * args.minutes)
+            with Clients(stack.endpoints, journal, args.seed, short=args.short) as clients:
+                storm.run(plan, clients, 60 * args.minutes)
             _calm(stack, storm, journal)
         except TagmillError as error:
             journal.write(not_recovered=error.message)

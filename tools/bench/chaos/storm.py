@@ -8,7 +8,7 @@ from contextlib import ExitStack
 from common.bus import CommandClient, Poller
 from common.clock import monotonic_ns
 from common.errors import TagmillError
-from tools.bench.chaos.client import Journal
+from tools.bench.chaos.client import Clients, Journal
 from tools.bench.chaos.faults import CAUSES, EVERYTHING, Context
 from tools.bench.chaos.plan import Fault
 from tools.bench.chaos.stack import Stack, until
@@ -27,7 +27,7 @@ class Storm:
         self.done = 0
         self.left_out = 0
 
-    def run(self, plan: Iterable[Fault], limit_s: float) -> None:
+    def run(self, plan: Iterable[Fault], clients: Clients, limit_s: float) -> None:
         """All of them, or as many as begin within the limit; raises TagmillError if the stack doesn't come back."""
         deadline_ns = monotonic_ns() + limit_s * 1e9
         try:
@@ -37,7 +37,9 @@ class Storm:
                 self._pause(fault.gap_s)
                 self._happen(fault)
                 if (fault.number + 1) % BREATHE_EVERY == 0:
+                    clients.quiet.set()
                     self._breathe(fault.number)
+                    clients.quiet.clear()
         finally:
             self._end_all()
 
@@ -99,10 +101,11 @@ class Storm:
             raise
 
     def record(self, count: int = 1) -> None:
-        """Samples of each camera, now that nothing is wrong; raises TagmillError if they aren't to be had."""
+        """End all recordings, then samples of each camera; raises TagmillError if they aren't to be had."""
         request = {"command": "record", "camera": "all", "count": count, "interval_s": 0.2, "timeout_s": _RECORD_S}
         refused = ""
         with CommandClient(self._stack.endpoints) as client:
+            self._journal.ask(client, {"command": "stop"}, 4 * _RECORD_S)
 
             def recorded() -> bool | None:
                 nonlocal refused
