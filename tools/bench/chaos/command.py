@@ -115,7 +115,7 @@ def _calm(stack: Stack, storm: Storm, journal: Journal) -> None:
     from common.bus import CommandClient
 
     stack.wait_ready()
-    storm.record(count=5)
+    storm.record(count=8)
     with CommandClient(stack.endpoints) as client:
         journal.ask(client, {"command": "stop"}, 60.0)
 
