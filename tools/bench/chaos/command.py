@@ -100,6 +100,7 @@ def _run(ground: Ground, plan: tuple[Fault, ...], args: argparse.Namespace) -> R
         except TagmillError as error:
             journal.write(not_recovered=error.message)
         finally:
+            stack.over.set()
             stack.down()
     except TagmillError as error:
         journal.write(not_recovered=error.message)

@@ -147,23 +147,30 @@ def _folder_away(stack: Stack, fault: Fault) -> Iterator[None]:  # noqa: ARG001
 
 @contextmanager
 def _folder_deleted(stack: Stack, fault: Fault) -> Iterator[None]:  # noqa: ARG001
-    """Put aside instead of deleted, so that what was acknowledged can still be looked at; then the operator's cure."""
+    """Put aside instead of deleted, so that what was acknowledged can still be looked at; then the operator's cure.
+
+    The operator's patience is a thread: control may be standing still just now, and only the storm lets it go on.
+    """
     session = stack.ground.session
     with suppress(FileNotFoundError):
         session.rename(session.with_name(_free_name(stack)))
-    try:
-        yield
-    finally:
-        with CommandClient(stack.endpoints) as client:
+    yield
+    stack.cure(lambda: _open_anew(stack))
 
-            def opened() -> bool | None:
-                # A store that was started meanwhile has made the session by itself; then it is in use, and refused.
-                with suppress(TagmillError):
-                    answer = client.request({"command": "session", "name": SESSION})
-                    return True if answer["ok"] or (session / "session.json").exists() else None
-                return None
 
-            until(opened, _COMMAND_S, "the session to be opened anew")
+def _open_anew(stack: Stack) -> None:
+    with CommandClient(stack.endpoints) as client:
+
+        def opened() -> bool | None:
+            if stack.over.is_set():
+                return True
+            # A store that was started meanwhile has made the session by itself; then it is in use, and refused.
+            with suppress(TagmillError):
+                answer = client.request({"command": "session", "name": SESSION})
+                return True if answer["ok"] or (stack.ground.session / "session.json").exists() else None
+            return None
+
+        until(opened, _COMMAND_S, "the session to be opened anew")
 
 
 @contextmanager

@@ -6,7 +6,9 @@ import os
 import signal
 import subprocess
 import sys
+import threading
 from collections.abc import Callable
+from concurrent.futures import Future, ThreadPoolExecutor
 from contextlib import suppress
 from typing import TypeVar
 
@@ -37,6 +39,9 @@ class Stack:
         self._environment = {**os.environ, **ground.environment()}
         self._up: subprocess.Popen[bytes] | None = None
         self._supervisor = Supervisor(self.endpoints.run_dir / SOCKET_FILE)
+        self.over = threading.Event()
+        self._cures = ThreadPoolExecutor(1, "cure")
+        self._begun: list[Future[None]] = []
 
     def up(self) -> None:
         """Start it; waits for nothing."""
@@ -67,8 +72,14 @@ class Stack:
             self._up.wait()
             self._up = None
 
+    def cure(self, what: Callable[[], None]) -> None:
+        """What an operator does after a fault, beside the next ones; `wait_ready` waits for it."""
+        self._begun.append(self._cures.submit(what))
+
     def wait_ready(self) -> None:
         """Until the roll-call is complete and the cameras stream; raises TagmillError at the deadline."""
+        while self._begun:
+            self._begun.pop().result()
         with CommandClient(self.endpoints) as client:
             wait_ready(client, CAMERAS, READY_S)
 
