@@ -43,7 +43,7 @@ test: $(STAMP) ## everything but the long runs (under 10 minutes on 2 cores)
 
 test-long: $(STAMP) $(OTHER_STAMP) $(LOADERS_STAMP) ## the long runs, all others on OpenCV 5, and those that ask others' loaders
 	$(BIN)/python -m pytest -m 'long and not loaders'
-	$(LOADERS_VENV)/bin/python -m pytest -m loaders
+	$(LOADERS_VENV)/bin/python -m pytest -m loaders tests/loaders
 	$(OTHER_VENV)/bin/python -m pytest -m 'not long' -n 2
 
 $(OTHER_STAMP): pyproject.toml requirements.lock

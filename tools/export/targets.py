@@ -67,7 +67,7 @@ def facing_side(box: Box, pose: Pose) -> tuple[str, FaceName, float] | None:
 
 def _whole(item: ObjectLabel, box: Box, pose: Pose, camera: CameraModel, class_id: int, name: str) -> Target | None:
     projected = project_box(box, pose, camera)
-    outline = clipped(_hull(np.concatenate([camera.project(part)[0] for part in _edges(box, pose, camera)])), camera)
+    outline = clipped(_hull(camera.project(np.concatenate(_edges(box, pose, camera)))[0]), camera)
     if projected.window is None or not _large(projected.window) or len(outline) < 3:
         return None
     corners, states = _corners(item, box, pose, camera)
