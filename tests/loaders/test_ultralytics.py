@@ -13,6 +13,14 @@ from tools.cli import main
 pytestmark = [pytest.mark.long, pytest.mark.loaders]
 
 
+@pytest.fixture(autouse=True)
+def no_monitor(monkeypatch: pytest.MonkeyPatch) -> None:
+    """tqdm's thread, which watches progress bars, would outlive the test."""
+    import tqdm
+
+    monkeypatch.setattr(tqdm.tqdm, "monitor_interval", 0)
+
+
 @pytest.fixture(scope="module")
 def session449(tmp_path_factory: pytest.TempPathFactory) -> Path:
     folder = tmp_path_factory.mktemp("sessions") / "paper"
