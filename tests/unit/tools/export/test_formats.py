@@ -224,14 +224,13 @@ def test_the_papers_449_samples(
 
 
 @pytest.mark.long
-@pytest.mark.timeout(900)
+@pytest.mark.timeout(3600)
 def test_10_000_samples(session60: Path, tmp_path: Path, export: Export) -> None:
-    """The pictures of 60 serve all; the labels are each one's own."""
-    stored = {path.name: path for path in (session60 / "rgb").iterdir()}
-    sources = sorted(stored.values())
-    picture = cv2.imread(str(sources[0]))
+    """The pictures of 60 serve all in turn; the labels are each one's own."""
+    pictures = [cv2.imread(str(path)) for path in sorted((session60 / "rgb").iterdir())]
     session = tmp_path / "many"
-    write_session(session, ((label_of(number, moving(number)), {"rgb": picture}) for number in range(10_000)))
+    rows = ((label_of(number, moving(number)), {"rgb": pictures[number % len(pictures)]}) for number in range(10_000))
+    write_session(session, rows)
     told = export("yolo", session, "--split", "block", out=tmp_path / "out")
     assert sum(told["samples"].values()) + told["left_out"].get("neighbour", 0) == 10_000
     assert told["checks"]["wrong"] == []
