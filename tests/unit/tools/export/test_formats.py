@@ -226,12 +226,13 @@ def test_the_papers_449_samples(
 @pytest.mark.long
 @pytest.mark.timeout(3600)
 def test_10_000_samples(session60: Path, tmp_path: Path, export: Export) -> None:
-    """The pictures of 60 serve all in turn; the labels are each one's own."""
-    pictures = [cv2.imread(str(path)) for path in sorted((session60 / "rgb").iterdir())]
+    """One picture serves all, so no split is honest; the labels are each one's own."""
+    picture = cv2.imread(str(min((session60 / "rgb").iterdir())))
     session = tmp_path / "many"
-    rows = ((label_of(number, moving(number)), {"rgb": pictures[number % len(pictures)]}) for number in range(10_000))
-    write_session(session, rows)
-    told = export("yolo", session, "--split", "block", out=tmp_path / "out")
-    assert sum(told["samples"].values()) + told["left_out"].get("neighbour", 0) == 10_000
+    write_session(session, ((label_of(number, moving(number)), {"rgb": picture}) for number in range(10_000)))
+    refused = export("yolo", session, "--split", "block", out=tmp_path / "out", code=3)
+    assert "no validation set" in refused["error"]["message"]
+    told = export("yolo", session, "--split", "none", out=tmp_path / "out")
+    assert told["samples"] == {"train": 10_000}
     assert told["checks"]["wrong"] == []
     assert len(os.listdir(tmp_path / "out" / "images" / "train")) == told["samples"]["train"]  # noqa: PTH208
