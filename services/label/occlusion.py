@@ -76,7 +76,8 @@ def look(
     corners = _turned_here(box, facing) & _unhidden(pose.apply(box.corners), camera, others)
     if depth is not None and facing:
         sensor = _Sensor(depth, camera, np.concatenate(list(points.values())), distance_sigma_mm)
-        open_ = {name: mask & ~sensor.covers(points[name]) for name, mask in open_.items()}
+        parts = np.split(sensor.surface_covered, len(facing))
+        open_ = {name: mask & ~covered for (name, mask), covered in zip(open_.items(), parts, strict=True)}
         broad = [name for name in facing if angles[name] < EDGE_ON_DEG] or facing[:1]
         corners &= ~_covered_corners(box, pose, camera, broad, sensor)
     classes = {side.face: side.class_name for side in box.sides}
@@ -129,25 +130,32 @@ def _covered_corners(box: Box, pose: Pose, camera: CameraModel, faces: Sequence[
 
 
 class _Sensor:
-    """A depth picture and how noisy it is, as its patches on the surface of a box show it."""
+    """A depth picture and how noisy it is, as its patches on the surface (N, 3) of a box show it.
+
+    ``surface_covered`` (N,): before which of the surface's points something is measured.
+    """
 
     def __init__(self, depth: DepthPicture, camera: CameraModel, surface: Array, distance_sigma_mm: float) -> None:
         self._depth, self._camera = depth, camera
         self._offset_mm = 2.0 * distance_sigma_mm
-        measured, spread = self._patches(surface)
+        measured, values, valid = self._patches(surface)
+        spread = 1.4826 * _median(np.abs(values - measured[:, None]), valid)
         known = np.isfinite(spread) & (measured > 0)
         self._noise = float(np.median(spread[known] / measured[known])) if known.any() else 0.0
+        self.surface_covered = self._nearer(measured, surface)
 
     def covers(self, xyz: Array) -> Mask:
         """Before which points (N, 3), camera frame, something is measured."""
-        measured, _ = self._patches(xyz)
+        return self._nearer(self._patches(xyz)[0], xyz)
+
+    def _nearer(self, measured: Array, xyz: Array) -> Mask:
         z = xyz[:, 2]
         slack = np.maximum(NEARER_MM, np.maximum(NEARER_SHARE, NEARER_SIGMA * self._noise) * z) + self._offset_mm
         with np.errstate(invalid="ignore"):
             return np.asarray(measured < z - slack)
 
-    def _patches(self, xyz: Array) -> tuple[Array, Array]:
-        """Median and standard deviation (mm, from the median's) of the patch around each point; NaN for holes."""
+    def _patches(self, xyz: Array) -> tuple[Array, Array, Mask]:
+        """The median (N,) mm of the patch around each point, NaN for holes; its values (N, 25), which are valid."""
         pixels, front = self._camera.project(xyz)
         inside = front & self._camera.contains(pixels)
         height, width = self._depth.values.shape
@@ -156,10 +164,8 @@ class _Sensor:
         values = self._depth.values[rows, columns] * self._depth.unit_mm
         valid = values > 0
         median = _median(values, valid)
-        spread = 1.4826 * _median(np.abs(values - median[:, None]), valid)
-        silent = ~inside | (valid.sum(axis=1) < MIN_VALID)
-        median[silent] = spread[silent] = np.nan
-        return median, spread
+        median[~inside | (valid.sum(axis=1) < MIN_VALID)] = np.nan
+        return median, values, valid
 
 
 def _median(values: Array, valid: Mask) -> Array:

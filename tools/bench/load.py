@@ -32,6 +32,7 @@ from tools.stack.running import running_stack, wait_ready
 
 _WARM_UP_S = 4.0
 _STALL_S = 20.0
+_STOP_S = 60.0
 _OBJECTS = Path(__file__).resolve().parents[1] / "demo" / "rig.yaml"
 
 
@@ -46,6 +47,9 @@ def add_parser(parser: argparse.ArgumentParser) -> None:
     parser.add_argument("--label-delay-ms", type=float, default=0.0, help="make labelling this much slower a frame")
     parser.add_argument(
         "--stall-store", action="store_true", help="stop the store process for 20 s (or 2/3 of the time) and record"
+    )
+    parser.add_argument(
+        "--record", type=int, default=0, metavar="N", help="record every frame of the first N cameras meanwhile"
     )
     parser.add_argument("--workers", type=int, default=1, help="detect and label processes that share the cameras")
     parser.add_argument("--detect-workers", type=int, help="another number of detect processes")
@@ -135,13 +139,37 @@ def measure(rig: Path, cameras: int, args: argparse.Namespace) -> Load:
         counter.listen(_WARM_UP_S)
         counter.reset()
         before = usage_now(pids)
+        recording = _start(client, names[: args.record])
         stall_s = min(_STALL_S, args.seconds * 2 / 3) if args.stall_store else 0.0
         with _Records(endpoints, names if args.stall_store else []) as records, _stalled(pids["store"], stall_s):
             counter.listen(args.seconds)
-        return Load(counter.seconds, counter.result(), usage_between(before, usage_now(pids)), dict(records.outcomes))
+        usage = usage_between(before, usage_now(pids))
+        outcomes = records.outcomes + Counter(_stop(client, recording))
+        return Load(counter.seconds, counter.result(), usage, dict(outcomes))
     finally:
         client.close()
         subscriber.close()
+
+
+def _start(client: CommandClient, cameras: list[str]) -> list[str]:
+    """Begin a recording of every frame on each camera; their ids. Raises TagmillError if one is refused."""
+    begun = [client.request({"command": "start", "camera": name, "every_s": 0}) for name in cameras]
+    for answer in begun:
+        if not answer["ok"]:
+            raise TagmillError(f"the recording didn't start: {answer['error']['message']}")
+    return [answer["recording"] for answer in begun]
+
+
+def _stop(client: CommandClient, recordings: list[str]) -> dict[str, int]:
+    """End them; frames by what became of them."""
+    counts: Counter[str] = Counter()
+    for recording in recordings:
+        answer = client.request({"command": "stop", "recording": recording}, timeout_s=_STOP_S)
+        for account in (account for ledger in answer["ledgers"] for account in ledger["cameras"].values()):
+            counts["frames recorded"] += account["recorded"]
+            counts.update({f"frames refused: {why}": count for why, count in account["refused"].items()})
+            counts.update({f"frames dropped at {where}": count for where, count in account["dropped"].items()})
+    return dict(counts)
 
 
 @contextmanager

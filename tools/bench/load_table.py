@@ -46,7 +46,7 @@ def print_load(load: Load, options: Mapping[str, Any]) -> None:
     console.print(cost)
     if load.records:
         answers = ", ".join(f"{what} {count}" for what, count in sorted(load.records.items()))
-        console.print(f"Record orders while the store stood still and after: {answers}")
+        console.print(f"Recorded meanwhile: {answers}")
 
 
 _KEPT_UP = 0.95
