@@ -14,7 +14,7 @@ import numpy as np
 import pytest
 
 from common.boards import Board, write_board
-from tests.support.console_page import DEADLINE_MS, DESKTOP, TABLET, PageUnderTest, Site, console_site
+from tests.support.console_page import DESKTOP, TABLET, PageUnderTest, Site, console_site
 from tests.support.hygiene import own_place
 from tests.support.stack import ROOT
 
@@ -95,13 +95,11 @@ def calibrating(folder: Path) -> None:
         page.page.get_by_label("board.yaml").check()
         page.page.get_by_role("button", name="Begin").click()
         page.wait("document.querySelector('[data-views]')?.dataset.views >= 4")
-        for name, size, theme in (("light", DESKTOP, "light"), ("dark", DESKTOP, "dark"), ("tablet", TABLET, "light")):
-            shown = site.open("setup?calibrate=bench", size=size, theme=theme)
-            shown.drawn("calibrate-bench")
-            shown.page.wait_for_selector(".say[data-phase='holding']")
-            save(shown, f"calibrate-{name}")
-        page.page.wait_for_selector(".level", timeout=4 * DEADLINE_MS)
-        save(page, "calibrated")
+        page.drawn("calibrate-bench")
+        for name, size, theme in (("tablet", TABLET, "light"), ("dark", DESKTOP, "dark"), ("light", DESKTOP, "light")):
+            page.page.emulate_media(color_scheme=theme)  # type: ignore[arg-type]
+            page.page.set_viewport_size(size)  # type: ignore[arg-type]
+            save(page, f"calibrate-{name}")
 
 
 def settled(page: PageUnderTest) -> None:
