@@ -70,6 +70,9 @@ WORDS: dict[str, Words] = {
     "other_schema": Words("The dataset is of another tagmill.", "Use the tagmill that wrote it, or a newer one."),
     # --- printing ----------------------------------------------------------------------------------------------
     "bad_board": Words("The board can't be as described.", "'tagmill markers board --help' has what can be chosen."),
+    "no_board": Words("There is no such board.", "Name a description that lies beside the rig file."),
+    "no_calibration": Words("No calibration is taking views.", "Start one first."),
+    "judging": Words("The calibration is being judged."),
     "paper_too_small": Words("It doesn't fit the paper."),
     "nothing_to_print": Words("There is nothing to print.", "Give a side of an object its marker in the rig file."),
     "not_written": Words("The file can't be written.", "Choose another place."),

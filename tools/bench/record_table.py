@@ -49,7 +49,7 @@ def _recording(title: str, rows: list[Recorded]) -> None:
     print_table(
         _CONSOLE,
         title,
-        ("", "captured", "recorded", "not recorded", "samples/s", "MB/s", "CPU % of a core"),
+        ("", "captured", "recorded", "not recorded", "samples a second", "MB/s", "CPU % of a core"),
         [
             [
                 f"turn {number}" if len(rows) > 1 else "",
