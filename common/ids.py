@@ -10,7 +10,7 @@ NAME_PATTERN = r"^[A-Za-z0-9][A-Za-z0-9_.-]{0,62}$"
 """What a camera, a session or an object may be called: it becomes part of file names."""
 
 _SAMPLE = re.compile(
-    r"(?P<day>\d{8})T(?P<time>\d{6})\.(?P<ms>\d{3})Z-(?P<camera>[A-Za-z0-9][A-Za-z0-9_.-]{0,62})-(?P<frame>\d+)",
+    r"(?P<day>\d{8})T(?P<time>\d{6})\.(?P<ms>\d{3})Z-(?P<camera>[A-Za-z0-9][A-Za-z0-9_.-]{0,62})-(?P<frame>\d{1,18})",
     re.ASCII,
 )
 

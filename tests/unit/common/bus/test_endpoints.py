@@ -108,6 +108,14 @@ def test_a_run_folder_of_another_user(place: Place, monkeypatch: pytest.MonkeyPa
         ("tcp://192.168.1.5:5750", False),
         ("tcp://rig.example:5750", False),
         ("tcp://eth0:5750", False),
+        # What is written in a way that isn't understood counts as open: it costs keys, not safety.
+        ("tcp://127.1:5750", False),
+        ("tcp://2130706433:5750", False),
+        ("tcp://lo:5750", False),
+        ("tcp://127.0.0.1:1;192.168.1.5:5750", False),
+        ("tcp://[::ffff:192.168.1.5]:5750", False),
+        ("tcp://[::]:5750", False),
+        ("tcp://127.0.0.1.rig.example:5750", False),
     ],
 )
 def test_what_only_this_machine_reaches(address: str, local: bool) -> None:
