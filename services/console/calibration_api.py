@@ -116,8 +116,7 @@ def _ordering(home: Home, order: Order) -> Callable[[], Coroutine[Any, Any, Resp
 
 def _refused(error: Exception) -> Response:
     if isinstance(error, ConfigError):
-        problems = error.problems or (error.message,)
-        return refusal(422, error.code, "; ".join(str(problem) for problem in problems[:_BOARD_PROBLEMS]))
+        return refusal(422, error.code, "; ".join(error.problems[:_BOARD_PROBLEMS]))
     if isinstance(error, TagmillError):
         return refusal(422 if error.code == "bad_request" else 409, error.code, error.message)
     return refusal(413 if isinstance(error, OverflowError) else 422, "bad_request", str(error))
