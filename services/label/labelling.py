@@ -29,7 +29,7 @@ from services.label.pose import BoxPose, Prior, solve_box
 from services.label.refine import refine
 from services.label.sightings import Expected, Sightings, in_view
 from services.label.tracking import interpolated, tracked
-from services.label.uncertainty import uncertainty
+from services.label.uncertainty import quick_uncertainty, uncertainty
 from services.label.visibility import faces_camera
 from services.label.visible_objects import (
     SeenMarker,
@@ -160,8 +160,8 @@ class Labeller:
             found, reasons = self._pose(refined, camera, around.previous.get(box.name))
             out += reasons
             if found is not None:
-                bar = None if grey is None else uncertainty(box, found, camera)
-                posed[box.name] = Posed(box, found.pose, found, bar=bar)
+                bar = quick_uncertainty if grey is None else uncertainty
+                posed[box.name] = Posed(box, found.pose, found, bar=bar(box, found, camera))
             out += _undetected(visible, None if found is None else found.pose, camera)
         out += [not_detected(marker, box) for box in sorted_.unseen for _, marker in box.markers()]
         if grey is not None:

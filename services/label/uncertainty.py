@@ -50,6 +50,11 @@ def uncertainty(box: Box, found: BoxPose, camera: CameraModel) -> Uncertainty:
     return of_spread(box, found.pose, spread_of(found), camera)
 
 
+def quick_uncertainty(box: Box, found: BoxPose, camera: CameraModel) -> Uncertainty:
+    """The same for a live label: from the detector's corners, and without sampling a lone side's tilts."""
+    return of_spread(box, found.pose, spread_of(found, tilts=False), camera)
+
+
 def spread_of(found: BoxPose, *, tilts: bool = True) -> Spread:
     """The poses that fit a box's markers as well as the noise allows; without ``tilts`` faster, but just the bells."""
     covariance = _inverse(found.information) * found.inflation

@@ -82,7 +82,7 @@ def test_the_margin_grows_with_the_marker():
 
 def test_no_more_is_erased_than_needed():
     pose = looking_at(35, 25, 500)
-    mask = area(erased(seen(0, pose=pose)))
+    mask = area(erased(seen(0, 1, 2, pose=pose)))
     allowed = np.zeros_like(mask)
     for id_ in (0, 1, 2):
         allowed |= drawn(project(border_outline(id_, 10 + 0.15 * 50 + 5), pose))

@@ -32,7 +32,7 @@ class Worker:
     def __init__(self) -> None:
         self.jobs: list[Any] = []
 
-    def submit(self, job: Any) -> None:
+    def submit(self, job: Any, *, first: bool = False) -> None:
         self.jobs.append(job)
 
 
