@@ -213,7 +213,7 @@ def test_a_hidden_tab_costs_nothing(live: PageUnderTest) -> None:
     live.page.wait_for_selector(f"[data-view={BIG}][data-stale]")
     still = live.page.evaluate(frame)
     assert (
-        "old" in live.page.locator(".caption-line").inner_text()
+        "old" in live.page.locator(".bigpicture .caption-line").inner_text()
         or "No picture for" in live.page.locator(".trouble").inner_text()
     )
     assert live.page.evaluate(frame) == still

@@ -115,11 +115,15 @@ class Run:
         return cv2.imdecode(np.frombuffer(self.pictures[kind, number], np.uint8), cv2.IMREAD_UNCHANGED)
 
     def other(self, number: int) -> int:
-        """The number of a sample of the same camera that shows another step of its path, there and back."""
+        """The number of a sample of the same camera that shows another step of its path, there and back.
+
+        From the end: the first samples each have something planted in them.
+        """
         frames = [round(label["device_ns"] / 1e8) % 14 for label in self.labels]
         steps = [min(frame, 14 - frame) for frame in frames]
         names = [label["camera"]["name"] for label in self.labels]
-        return next(n for n in range(len(steps)) if names[n] == names[number] and abs(steps[n] - steps[number]) > 1)
+        last_first = range(len(steps) - 1, -1, -1)
+        return next(n for n in last_first if names[n] == names[number] and abs(steps[n] - steps[number]) > 1)
 
     def ledger(self) -> dict[str, Any]:
         document = json.loads((self.session / "session.json").read_text())

@@ -210,7 +210,7 @@ def test_a_full_disk_refuses_and_takes_samples_again_once_there_is_room(
         (disk / "filler").write_bytes(bytes(100_000))
         state = wait_for_fault(listener, "is full")
         assert state.dropped["disk_full"] == 1
-        assert state.texts == {"session": "test"}
+        assert state.texts == {"session": "test", "problem": "disk_full"}
         (disk / "filler").unlink()
         shutil.rmtree(session_of(stack) / "depth")  # makes room, and is a fault of its own
         (session_of(stack) / "depth").mkdir()

@@ -109,7 +109,10 @@ def processes_of(prefix: str) -> dict[int, str]:
     found = {}
     for process in psutil.process_iter():
         try:
-            if process.environ().get("TAGMILL_PREFIX") == prefix and process.pid != os.getpid():
+            if process.environ().get("TAGMILL_PREFIX") != prefix or process.pid == os.getpid():
+                continue
+            helper = process.ppid() == os.getpid() and any(word in _command(process.pid) for word in _NOT_OURS)
+            if not helper:
                 found[process.pid] = " ".join(process.cmdline())[:200]
         except (psutil.NoSuchProcess, psutil.AccessDenied, psutil.ZombieProcess):
             continue

@@ -320,7 +320,9 @@ def test_a_rig_file_that_hides_the_stack_is_exit_code_78(
 ) -> None:
     (elsewhere / "rig.yaml").write_text(text)
     assert main(["stop"]) == EXIT_BAD_CONFIG
-    assert "tagmill check rig.yaml" in capsys.readouterr().err
+    told = capsys.readouterr().err
+    assert "rig.yaml" in told
+    assert "'tagmill check' says all that is wrong" in told
     assert main(["stop", "--rig", "nowhere.yaml"]) == EXIT_BAD_CONFIG
 
 

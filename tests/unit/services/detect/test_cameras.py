@@ -33,9 +33,9 @@ def ref(
     )
 
 
-def state(ring: str = "tagmill-x", *, paced: bool = False, fps: float = 30.0) -> CameraState:
+def state(ring: str = "tagmill-x", *, driver: str = "test", paced: bool = False, fps: float = 30.0) -> CameraState:
     label = CameraLabel(name="cam0", width=64, height=48, matrix=MATRIX, distortion=())
-    return CameraState(boot="b1", phase="streaming", driver="test", ring=ring, camera=label, fps=fps, paced=paced)
+    return CameraState(boot="b1", phase="streaming", driver=driver, ring=ring, camera=label, fps=fps, paced=paced)
 
 
 @pytest.fixture
@@ -98,7 +98,14 @@ def test_what_is_stale_follows_from_the_rings_history(camera: Camera, fps: float
 def test_a_frame_of_a_camera_that_waits_for_us_is_never_stale(camera: Camera) -> None:
     camera.heard(state(paced=True), NOW)
     assert take(camera, ref(1, age_s=60)) is not None
-    assert camera.paced
+
+
+@pytest.mark.parametrize(("driver", "paced"), [("files", True), ("files", False), ("synthetic", True)])
+def test_there_is_time_to_look_closely_at_a_file_that_waits_for_its_labels(
+    camera: Camera, driver: str, paced: bool
+) -> None:
+    camera.heard(state(driver=driver, paced=paced), NOW)
+    assert camera.patient == (driver == "files" and paced)
 
 
 def test_previews_are_looked_at_and_not_counted(camera: Camera) -> None:

@@ -54,7 +54,7 @@ class FakeCamera:
         state = CameraState(
             boot=self.boot,
             phase="streaming",
-            driver="test",
+            driver="files" if self.paced else "test",
             ring=self.ring.name,
             camera=label,
             fps=30.0,

@@ -49,8 +49,10 @@ function useCalibration(camera) {
     seen.current = guidance;
     if (!before || !guidance || before.words === guidance.words) return;
     if (guidance.views > before.views) sound("saved");
+    // Counted, not heard: between two states that reach the page the guide may have said more than one thing.
+    if (guidance.views < before.views) state.say("The last view is dropped.");
     if (guidance.phase === "refused" && before.phase !== "refused") sound("refused");
-    if (["taken", "refused", "done"].includes(guidance.phase) || guidance.code === "dropped") state.say(capital(guidance.words));
+    else if (["taken", "refused", "done"].includes(guidance.phase)) state.say(capital(guidance.words));
   }, [guidance]);
   const verdict = told()?.result?.verdict;
   useEffect(() => {
