@@ -35,7 +35,8 @@ class Guidance:
     verdict is being worked out). ``held``: 0..1 of the time that the board must be still. ``wish``: the next pose,
     ``ghost`` (4, 2) the board's outline in it, px, TL TR BR BL; ``outline`` (4, 2): as it is seen now. ``taken``: the
     view, in the frame that was taken and no other. ``spread`` of the ``count`` views. ``size``: the pictures'.
-    ``verdict``: of the newest fit; ``so_far``: what can be said of the views without one.
+    ``verdict``: of the newest fit; ``so_far``: what can be said of the views without one. ``dropped``: how
+    many views were taken back so far.
     """
 
     phase: Phase
@@ -52,6 +53,7 @@ class Guidance:
     missing: tuple[Wish, ...] = ()
     verdict: Verdict | None = None
     so_far: Verdict | None = None
+    dropped: int = 0
 
     def document(self) -> dict[str, Any]:
         """For programs (JSON): polygons as lists of points, coverage as rows of counts."""
@@ -67,6 +69,7 @@ class Guidance:
             "outline": _points(self.outline),
             "taken": None if self.taken is None else self.taken.name,
             "views": self.count,
+            "dropped": self.dropped,
             "cells": [] if seen is None else seen.cells.tolist(),
             "covered": 0.0 if seen is None else round(seen.covered, 3),
             "tilts": {} if seen is None else tilt_counts(seen),

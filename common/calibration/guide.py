@@ -54,6 +54,7 @@ class Guide:
         self._outcome: Outcome | None = None
         self._judged_at = 0
         self._demanded = False
+        self._dropped = 0
         self._summarise()
 
     @property
@@ -99,6 +100,7 @@ class Guide:
         if self.done or not self._views:
             return self._guidance("there is no view to drop", "nothing_to_drop")
         gone = self._views.pop()
+        self._dropped += 1
         self._judged_at, self._answer = 0, None
         self._trail.clear()
         self._summarise()
@@ -266,5 +268,5 @@ class Guide:
         known = None if self._outcome is None else self._outcome.verdict
         return Guidance(
             self._phase, words, self._size, code, held, wish, shape, drawn, taken, len(self._views), self._seen,
-            self._missing, known, self._so_far,
+            self._missing, known, self._so_far, self._dropped,
         )  # fmt: skip

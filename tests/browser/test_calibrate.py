@@ -76,16 +76,8 @@ def test_a_ghost_shows_the_next_pose_and_views_are_counted_with_a_verdict(
     calibration.press("r")  # whether it is taken or refused depends on where the board is: it is answered at once
     calibration.wait("/taken|as in|like|seen|hold/i.test(document.querySelector('.say').textContent)")
     before = views(calibration)
-    page.evaluate(
-        """() => {
-            window.heard = [];
-            const status = document.querySelector("[role=status]");
-            new MutationObserver(() => window.heard.push(status.textContent)).observe(
-                status, {childList: true, characterData: true, subtree: true});
-        }"""
-    )
     calibration.press("Backspace")
-    calibration.wait("window.heard.some((words) => /dropped/.test(words))")
+    wait_for(lambda: state(calibration)["guidance"]["dropped"] == 1, why="a view to be dropped")
     again = site.open("setup?calibrate=bench", size=TABLET)
     again.wait("document.querySelector('[data-views]')")
     assert abs(views(again) - before) <= 3, "the state lives in the server: a reload goes on"

@@ -47,12 +47,14 @@ function useCalibration(camera) {
   useEffect(() => {
     const before = seen.current;
     seen.current = guidance;
-    if (!before || !guidance || before.words === guidance.words) return;
-    if (guidance.views > before.views) sound("saved");
+    if (!before || !guidance) return;
     // Counted, not heard: between two states that reach the page the guide may have said more than one thing.
-    if (guidance.views < before.views) state.say("The last view is dropped.");
+    const dropped = guidance.dropped > before.dropped;
+    if (dropped) state.say("The last view is dropped.");
+    if (before.words === guidance.words) return;
+    if (guidance.views > before.views) sound("saved");
     if (guidance.phase === "refused" && before.phase !== "refused") sound("refused");
-    else if (["taken", "refused", "done"].includes(guidance.phase)) state.say(capital(guidance.words));
+    if (!dropped && ["taken", "refused", "done"].includes(guidance.phase)) state.say(capital(guidance.words));
   }, [guidance]);
   const verdict = told()?.result?.verdict;
   useEffect(() => {
