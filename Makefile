@@ -39,7 +39,7 @@ run: $(STAMP) ## start the stack with the rig of RIG=... (default: the synthetic
 	$(BIN)/tagmill up --rig $(or $(RIG),deploy/examples/synthetic.yaml)
 
 test: $(STAMP) ## everything but the long runs (under 10 minutes on 2 cores)
-	$(BIN)/python -m pytest -m 'not long' -n 3
+	$(BIN)/python -m pytest -m 'not long' -n 4
 
 test-long: $(STAMP) $(OTHER_STAMP) $(LOADERS_STAMP) ## the long runs, all others on OpenCV 5, and those that ask others' loaders
 	$(BIN)/python -m pytest -m 'long and not loaders'

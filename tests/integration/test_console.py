@@ -10,7 +10,7 @@ import struct
 import urllib.error
 import urllib.request
 from collections.abc import Callable, Iterator
-from contextlib import ExitStack, contextmanager
+from contextlib import ExitStack, contextmanager, suppress
 from pathlib import Path
 from typing import Any
 
@@ -68,7 +68,9 @@ class Page:
             header = json.loads(message[4 : 4 + length])
             self.pictures.append((header, message[4 + length :]))
             if draw:
-                self.say(t="ack", id=header["id"], seq=header["seq"])
+                # A server that goes has closed already; its good-bye is still to be heard.
+                with suppress(ConnectionClosed):
+                    self.say(t="ack", id=header["id"], seq=header["seq"])
             return "picture"
         plain = json.loads(message)
         match plain["t"]:

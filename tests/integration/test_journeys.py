@@ -149,7 +149,7 @@ def kill_only(stack: SupervisedStack) -> None:
         stack.kill(program)
 
 
-@pytest.mark.parametrize("kill", [kill_and_wait, kill_only])
+@pytest.mark.parametrize("kill", [pytest.param(kill_and_wait, marks=pytest.mark.long), kill_only])
 def test_stop_all_leaves_nothing_after_kill_9(
     kill: Callable[[SupervisedStack], None], deployed: Deployed, stack: SupervisedStack
 ) -> None:

@@ -146,7 +146,8 @@ def test_two_cameras_beside_a_slow_label_process_and_a_stopped_store(tmp_path: P
     check_never_stalls(tmp_path, (640, 360), 30, 8.0, "store", **SLOW_LABEL)
 
 
-@pytest.mark.parametrize("service", [pytest.param("detect.0", marks=pytest.mark.long), "label.0"])
+@pytest.mark.long
+@pytest.mark.parametrize("service", ["detect.0", "label.0"])
 def test_two_cameras_beside_a_stopped_reader_of_their_frames(service: str, tmp_path: Path) -> None:
     check_never_stalls(tmp_path, (640, 360), 15, 6.0, service)
 

@@ -97,7 +97,7 @@ def two_tags(testdata: Find, tmp_path: Path, request: pytest.FixtureRequest) -> 
     return folder, len(numbers)
 
 
-@pytest.mark.parametrize("two_tags", [5, pytest.param(1, marks=pytest.mark.long)], indirect=True)
+@pytest.mark.parametrize("two_tags", [8, pytest.param(1, marks=pytest.mark.long)], indirect=True)
 def test_two_tags_from_first_to_last_frame(two_tags: tuple[Path, int], tmp_path: Path) -> None:
     path, frames = two_tags
     rig = tmp_path / "rig.yaml"
@@ -139,8 +139,7 @@ PHOTOS = {
     "what",
     [
         "duckietown",
-        "predefined",
-        *(pytest.param(name, marks=pytest.mark.long) for name in ("ubiquity", "dictionary file")),
+        *(pytest.param(name, marks=pytest.mark.long) for name in ("predefined", "ubiquity", "dictionary file")),
     ],
 )
 def test_every_true_id_of_the_photos_is_labelled_or_listed_with_a_reason(

@@ -21,7 +21,7 @@ def soak(minutes: float, timeout_s: float) -> dict[str, object]:
 
 @pytest.mark.timeout(400)
 def test_a_short_soak_takes_nothing_for_good() -> None:
-    soaked = soak(0.12, 380)
+    soaked = soak(0.06, 380)
     assert soaked["complaints"] == []
     assert soaked["samples"] != 0
     assert {"control", "store", "label.0", "detect.0", "capture.cam0", "capture.cam1"} <= set(soaked["services"])  # type: ignore[call-overload]
