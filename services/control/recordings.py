@@ -40,9 +40,14 @@ class Recordings:
         self._seen: dict[str, dict[str, Seen]] = {}
 
     def hear(self, state: RecordingState, source: str, now_ns: int, beats: int) -> None:
-        """A label process reports; ``beats`` is how many heartbeats of it have been heard."""
+        """A label process reports; ``beats`` is how many heartbeats of it have been heard.
+
+        What has ended stays so: a state that was published before the answer to `stop` may come after it.
+        """
         own = self._seen.setdefault(state.ledger.spec.recording, {})
-        own[state.camera] = Seen(state, source, now_ns, beats)
+        reported, before = Seen(state, source, now_ns, beats), own.get(state.camera)
+        if before is None or before.open or not reported.open or before.source != source:
+            own[state.camera] = reported
 
     def tidy(self, now_ns: int, beats: Callable[[str], int]) -> None:
         """Forget what ended a minute ago, and what its label process no longer knows (``beats`` of a service)."""

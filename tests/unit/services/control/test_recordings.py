@@ -33,6 +33,15 @@ def test_it_has_ended_when_all_have() -> None:
     assert joined.ended_at is not None
 
 
+def test_a_state_from_before_its_end_does_not_wake_it_up() -> None:
+    recordings = heard(("cam0", "ended"), ("cam0", "running"))
+    joined = recordings.ledger("rec-1")
+    assert joined is not None
+    assert joined.phase == "ended"
+    recordings.hear(recording_state(ledger(BOTH, "running", cam0=3)), "label.1", 0, 1)
+    assert recordings.open_cameras("rec-1") == {"cam0": "label.1"}, "another process that took it over may go on"
+
+
 def test_requests_of_record_are_no_recordings_to_stop() -> None:
     recordings = Recordings()
     request = spec("rec-2", "cam0", mode="record")
