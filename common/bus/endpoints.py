@@ -46,6 +46,10 @@ class Endpoints:
         """The address of a socket ``name`` in the run folder."""
         return f"ipc://{self.run_dir / name}"
 
+    def console_moves(self, network: NetworkConfig) -> bool:
+        """Whether the console takes a free port: the address that is meant by default is the default stack's."""
+        return self.prefix != DEFAULT_PREFIX and network.console == NetworkConfig().console
+
     @property
     def publish(self) -> str:
         """Where publishers connect (the proxy's XSUB)."""

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from common.bus import Endpoints
-from common.bus.endpoints import DEFAULT_PREFIX
 from common.config.models import NetworkConfig
 from services.console.server import Address, address_of
 
@@ -16,7 +15,4 @@ def console_address(network: NetworkConfig, endpoints: Endpoints) -> Address | N
     if network.console is None:
         return None
     address = address_of(network.console)
-    default = NetworkConfig().console
-    if endpoints.prefix != DEFAULT_PREFIX and network.console == default:
-        return Address(address.host, 0)
-    return address
+    return Address(address.host, 0) if endpoints.console_moves(network) else address

@@ -143,7 +143,7 @@ class PatternFit:
         if anew:
             self._g, self._light, self._sigma = self._start
             self._tone = 0.0
-        expected = self._pattern_at(self._where[:, 0], self._where[:, 1], self._g)[0].value.astype(np.float64)
+        expected = self._pattern_at(self._where)[0].value.astype(np.float64)
         shade = Shade.guess(self._where, self._grey, expected, self._scale)
         if shade is None:
             return False
@@ -215,8 +215,9 @@ class PatternFit:
         to_pixels = np.asarray(np.linalg.inv(g), dtype=np.float64)
         return np.asarray(_apply(to_pixels, self._square) * self._scale + self._centre)
 
-    def _pattern_at(self, x: Array, y: Array, g: Array) -> tuple[Values, Array, Array, Array]:
-        """The blurred pattern at points (N,), with their u, v (cells) and the homography's denominator w."""
+    def _pattern_at(self, where: Array) -> tuple[Values, Array, Array, Array]:
+        """The blurred pattern at points (N, 2), with their u, v (cells) and the homography's denominator w."""
+        (x, y), g = where.T, self._g
         w = g[2, 0] * x + g[2, 1] * y + 1.0
         u = (g[0, 0] * x + g[0, 1] * y + g[0, 2]) / w
         v = (g[1, 0] * x + g[1, 1] * y + g[1, 2]) / w
@@ -232,7 +233,7 @@ class PatternFit:
         """Of one in ``every`` pixels: Jacobian (N, unknowns), residual (N,) picture minus model, grey levels."""
         where = self._where[::every]
         x, y = where.T
-        pattern, u, v, w = self._pattern_at(x, y, self._g)
+        pattern, u, v, w = self._pattern_at(where)
         p = pattern.value.astype(np.float64)
         hump = 4.0 * p * (1.0 - p)
         toned = p + self._tone * hump

@@ -5,7 +5,6 @@ from __future__ import annotations
 import importlib.util
 
 from common.bus import Endpoints
-from common.bus.endpoints import DEFAULT_PREFIX
 from common.config.models import NetworkConfig
 
 _NEEDS = ("fastapi", "uvicorn", "websockets", "prometheus_client")
@@ -23,6 +22,6 @@ def no_console(network: NetworkConfig) -> str | None:
 
 def console_place(network: NetworkConfig, endpoints: Endpoints) -> str:
     """Where the console will be, as far as it is known before it runs."""
-    if endpoints.prefix != DEFAULT_PREFIX and network.console == NetworkConfig().console:
+    if endpoints.console_moves(network):
         return "console at a free port: `tagmill status` shows it"
     return f"console at {network.console}"

@@ -8,7 +8,6 @@ from collections.abc import Iterator
 from urllib.parse import urlsplit
 
 from common.bus import Endpoints
-from common.bus.endpoints import DEFAULT_PREFIX
 from common.config.models import NetworkConfig
 from common.errors import NameTakenError
 
@@ -29,9 +28,8 @@ def refuse_taken(network: NetworkConfig, endpoints: Endpoints, *, console: bool)
 def _wanted(network: NetworkConfig, endpoints: Endpoints, *, console: bool) -> Iterator[tuple[str, str, int]]:
     """Key of ``network``, host, port; an address that is none is the services' to refuse."""
     addresses = [("command", endpoints.command)]
-    if console and network.console is not None:
-        moved = endpoints.prefix != DEFAULT_PREFIX and network.console == NetworkConfig().console
-        addresses += [] if moved else [("console", network.console)]
+    if console and network.console is not None and not endpoints.console_moves(network):
+        addresses.append(("console", network.console))
     for key, address in addresses:
         parts = urlsplit(address)
         try:
