@@ -24,8 +24,9 @@ import yaml
 from common.bus import CommandClient, Endpoints, Subscriber
 from common.config import load_rig
 from common.errors import EXIT_OK, EXIT_USAGE, TagmillError
-from common.topics import CAMERA, DETECTIONS, LABELS, SERVICE
+from common.topics import CAMERA, DETECTIONS, FRAME, LABELS, SERVICE
 from tools.bench.load_counter import CameraLoad, LoadCounter
+from tools.bench.load_hops import Hop
 from tools.bench.load_table import print_growth, print_load
 from tools.bench.processes import Usage, usage_between, usage_now
 from tools.stack.running import running_stack, wait_ready
@@ -65,6 +66,7 @@ class Load:
     cameras: dict[str, CameraLoad]
     processes: dict[str, Usage]
     records: dict[str, int]
+    hops: dict[str, Hop]
 
 
 def run(args: argparse.Namespace) -> int:
@@ -132,7 +134,7 @@ def measure(rig: Path, cameras: int, args: argparse.Namespace) -> Load:
     client = CommandClient(endpoints, timeout_s=5.0)
     try:
         status = wait_ready(client, names)
-        for topic in (CAMERA, DETECTIONS, LABELS, SERVICE):
+        for topic in (FRAME, CAMERA, DETECTIONS, LABELS, SERVICE):
             subscriber.subscribe(topic)
         pids = {name: int(service["pid"]) for name, service in status["services"].items()}
         counter = LoadCounter(subscriber, args.fps)
@@ -145,7 +147,7 @@ def measure(rig: Path, cameras: int, args: argparse.Namespace) -> Load:
             counter.listen(args.seconds)
         usage = usage_between(before, usage_now(pids))
         outcomes = records.outcomes + Counter(_stop(client, recording))
-        return Load(counter.seconds, counter.result(), usage, dict(outcomes))
+        return Load(counter.seconds, counter.result(), usage, dict(outcomes), counter.hops())
     finally:
         client.close()
         subscriber.close()

@@ -9,7 +9,8 @@ import numpy as np
 
 from common import clock
 from common.bus import Poller, Subscriber
-from common.messages import CameraState, Detections, Labels, Message, ServiceState
+from common.messages import CameraState, Detections, FrameAnnounced, Labels, Message, ServiceState
+from tools.bench.load_hops import FrameHops, Hop
 
 
 @dataclass
@@ -55,6 +56,7 @@ class LoadCounter:
     def reset(self) -> None:
         """Begin to count from here."""
         self._cameras: dict[str, _Seen] = {}
+        self._hops = FrameHops()
         self._dropped: dict[str, Counter[str]] = {}
         self._began_ns = clock.monotonic_ns()
         self.seconds = 0.0
@@ -70,18 +72,22 @@ class LoadCounter:
 
     def _hear(self, message: Message, sent_ns: int) -> None:
         match message:
+            case FrameAnnounced(ref=ref):
+                self._hops.announced(ref, sent_ns)
             case CameraState():
                 seen = self._cameras.setdefault(message.camera.name, _Seen())
                 _extend(seen, message.captured, sent_ns)
             case Detections():
                 seen = self._cameras.setdefault(message.ref.camera, _Seen())
                 seen.detected += 1
+                self._hops.detected(message.ref, sent_ns, message.took_ns)
                 seen.skips = dict(message.skipped)
                 if seen.skips_before is None:
                     seen.skips_before = dict(message.skipped)
             case Labels():
                 seen = self._cameras.setdefault(message.ref.camera, _Seen())
                 seen.labelled += 1
+                self._hops.labelled(message.ref, sent_ns, message.took_ns)
                 seen.late_ms.append((sent_ns - message.ref.captured_mono_ns) / 1e6)
             case ServiceState():
                 self._dropped[message.service] = Counter(message.dropped)
@@ -89,6 +95,10 @@ class LoadCounter:
     def result(self) -> dict[str, CameraLoad]:
         """The cameras' figures."""
         return {name: self._camera(seen) for name, seen in sorted(self._cameras.items())}
+
+    def hops(self) -> dict[str, Hop]:
+        """Where the frames of all cameras spent their time."""
+        return self._hops.result()
 
     def _camera(self, seen: _Seen) -> CameraLoad:
         load = CameraLoad(detected=seen.detected, labelled=seen.labelled)

@@ -36,6 +36,8 @@ def print_load(load: Load, options: Mapping[str, Any]) -> None:
             late,
         )
     console.print(frames)
+    if load.hops:
+        console.print(_hops(load))
     cost = Table(title="Processes, their workers included")
     for heading in ("process", "CPU % of a core", "memory MB", "processes"):
         cost.add_column(heading, justify="right")
@@ -47,6 +49,18 @@ def print_load(load: Load, options: Mapping[str, Any]) -> None:
     if load.records:
         answers = ", ".join(f"{what} {count}" for what, count in sorted(load.records.items()))
         console.print(f"Recorded meanwhile: {answers}")
+
+
+def _hops(load: Load) -> Table:
+    table = Table(title="Where the time goes, ms a frame, all cameras")
+    for heading in ("hop", "p50", "p99", "mean", "mean of the slowest 1 %"):
+        table.add_column(heading, justify="right")
+    for name, hop in load.hops.items():
+        values = (hop.p50_ms, hop.p99_ms, hop.mean_ms, hop.slowest_mean_ms)
+        table.add_row(name, *(f"{value:.2f}" for value in values))
+    means = [sum(values) for values in zip(*((h.mean_ms, h.slowest_mean_ms) for h in load.hops.values()), strict=True)]
+    table.add_row("together", "", "", *(f"{value:.2f}" for value in means))
+    return table
 
 
 _KEPT_UP = 0.95
