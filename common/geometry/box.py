@@ -110,9 +110,7 @@ class Box:
 
     def face_pose(self, face: FaceName) -> Pose:
         """The side's frame (centre of the face, x right, y up, z outwards) to the object frame."""
-        row = FACES[face]
-        rotation = np.array([row.right, row.up, row.normal], dtype=np.float64).T
-        return Pose(rotation, np.array(row.normal, dtype=np.float64) * self.face_size(face)[2] / 2)
+        return self._face_poses[face]
 
     def face_polygon(self, face: FaceName) -> Array:
         """The face's corners (4, 3) TL TR BR BL, as its viewer sees them, in the object frame."""
@@ -125,6 +123,14 @@ class Box:
         if kept is None:
             kept = self._marker_poses[side.face, marker] = self._place(side.face, marker)
         return kept
+
+    @cached_property
+    def _face_poses(self) -> dict[FaceName, Pose]:
+        placed = {}
+        for name, row in FACES.items():
+            rotation = np.array([row.right, row.up, row.normal], dtype=np.float64).T
+            placed[name] = Pose(rotation, np.array(row.normal, dtype=np.float64) * self.face_size(name)[2] / 2)
+        return placed
 
     @cached_property
     def _marker_poses(self) -> dict[tuple[FaceName, MarkerOnSide], Pose]:

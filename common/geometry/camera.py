@@ -35,11 +35,17 @@ class CameraModel:
     matrix: Array
     distortion: Array
     model: Literal["pinhole", "fisheye"] = "pinhole"
+    _straight: bool = field(init=False, repr=False)
+    _focal: Array = field(init=False, repr=False)
+    _centre: Array = field(init=False, repr=False)
     _limit: float = field(init=False, repr=False)
 
     def __post_init__(self) -> None:
         object.__setattr__(self, "matrix", np.asarray(self.matrix, dtype=np.float64).reshape(3, 3))
         object.__setattr__(self, "distortion", np.asarray(self.distortion, dtype=np.float64).ravel())
+        object.__setattr__(self, "_straight", self.model == "pinhole" and not self.distortion.any())
+        object.__setattr__(self, "_focal", np.diag(self.matrix)[:2].copy())
+        object.__setattr__(self, "_centre", self.matrix[:2, 2].copy())
         object.__setattr__(self, "_limit", self._trusted_radius())
 
     @classmethod
@@ -63,8 +69,10 @@ class CameraModel:
         corner is far off, never folds back into the picture and is not flung away by a high-order term.
         """
         xyz = np.asarray(points, dtype=np.float64).reshape(-1, 3)
-        pixels = np.full((len(xyz), 2), np.nan)
         front = xyz[:, 2] >= NEAR_MM
+        if len(xyz) and front.all():
+            return self._project_normalised(xyz[:, :2] / xyz[:, 2:]), front
+        pixels = np.full((len(xyz), 2), np.nan)
         if front.any():
             pixels[front] = self._project_normalised(xyz[front, :2] / xyz[front, 2:])
         return pixels, front
@@ -75,6 +83,8 @@ class CameraModel:
         NaN where no ray in front of the camera leads to a pixel: a strong barrel distortion or a fisheye has
         corners of the picture that its model can't reach, and cv2 returns arbitrary numbers there.
         """
+        if self._straight:
+            return (np.asarray(pixels, dtype=np.float64).reshape(-1, 2) - self._centre) / self._focal
         # cv2 takes every second row of a larger array for something else.
         uv = np.ascontiguousarray(pixels, dtype=np.float64).reshape(-1, 1, 2)
         if not len(uv):
@@ -102,6 +112,8 @@ class CameraModel:
         return inside
 
     def _project_normalised(self, xy: Array) -> Array:
+        if self._straight:
+            return xy * self._focal + self._centre
         radius = np.hypot(xy[:, 0], xy[:, 1])
         beyond = radius > self._limit
         if not beyond.any():

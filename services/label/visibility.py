@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Iterable
 
 import numpy as np
@@ -24,8 +25,8 @@ def viewing_angle(pose: Pose, face: FaceName, at: Array) -> float:
     """
     normal = pose.rotation @ _NORMALS[face]
     point = pose.apply(at)[0]
-    cosine = float(-normal @ point / max(float(np.linalg.norm(point)), 1e-12))
-    return float(np.degrees(np.arccos(np.clip(cosine, -1.0, 1.0))))
+    cosine = float(-normal @ point) / max(math.sqrt(point @ point), 1e-12)
+    return math.degrees(math.acos(min(max(cosine, -1.0), 1.0)))
 
 
 def marker_angle(pose: Pose, box: Box, side: BoxSide, marker: MarkerOnSide) -> float:
