@@ -21,6 +21,8 @@ Array = NDArray[np.float64]
 # numpy has no erf of its own, and the exponential is needed for the derivative anyway.
 _ERF = (0.254829592, -0.284496736, 1.421413741, -1.453152027, 1.061405429)
 _ERF_P = 0.3275911
+_NARROW = 0.125
+"""Blurs (cells) below which only the nearest edge is felt: the next one is at least four such blurs away."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -48,6 +50,10 @@ class Pattern:
         self._steps: Floats = np.diff(across, axis=0, prepend=0.0)
         self._edges: Floats = np.arange(self.cells + 1, dtype=np.float32)
         self._sides = self._transitions(framed)
+        # Where two edges cross: the cell before both, and what a step over the upright, the level and both edges adds.
+        before, right, down = framed[:-1, :-1], framed[:-1, 1:], framed[1:, :-1]
+        crossings = (before, right - before, down - before, self._steps[1:, 1:])
+        self._crossings: Floats = np.stack([table.ravel() for table in crossings])
 
     def sample(self, along: int, across: Array, cell_px: tuple[float, float]) -> Array:
         """Points (N, 2) around all edges of the pattern, in cells.
@@ -72,6 +78,8 @@ class Pattern:
         ``skew`` (N,) is the correlation of the two blurs: not 0 where rows and columns don't meet squarely in the
         picture. It matters where edges meet; its slopes are left out.
         """
+        if max(float(blur_u.max()), float(blur_v.max())) < _NARROW:
+            return self._near_at(u, v, blur_u, blur_v, skew)
         step_u, slope_u, widen_u = self._blurred(u, blur_u)
         step_v, slope_v, widen_v = self._blurred(v, blur_v)
         rows = step_v @ self._steps
@@ -86,6 +94,20 @@ class Pattern:
             by_log_blur=np.einsum("ij,ij->i", rows[:, 1:], widen_u) + np.einsum("ij,ij->i", columns[:, 1:], widen_v),
         )
 
+    def _near_at(self, u: Floats, v: Floats, blur_u: Floats, blur_v: Floats, skew: Floats | None) -> Values:
+        """The same, from the nearest upright and the nearest level edge of each point alone."""
+        column, row = (np.clip(np.rint(at), 0.0, float(self.cells)) for at in (u, v))
+        distance_u, distance_v = (u - column) / blur_u, (v - row) / blur_v
+        (step_u, bell_u), (step_v, bell_v) = _step(distance_u), _step(distance_v)
+        crossing = (row * (self.cells + 1) + column).astype(np.intp)
+        before, right, down, both = np.take(self._crossings, crossing, axis=1)
+        over_u, over_v = right + both * step_v, down + both * step_u
+        value = before + right * step_u + over_v * step_v
+        widen_u, widen_v = -distance_u * bell_u, -distance_v * bell_v
+        if skew is not None:
+            value += skew * both * (bell_u * bell_v + 0.5 * skew * widen_u * widen_v)
+        return Values(value, over_u * bell_u / blur_u, over_v * bell_v / blur_v, over_u * widen_u + over_v * widen_v)
+
     def _skewed(self, skew: Floats, bell_u: Floats, bell_v: Floats, widen_u: Floats, widen_v: Floats) -> Floats:
         """What correlated blurs add: the first two terms of the tetrachoric series (Pearson 1900)."""
         crossings = self._steps[1:, 1:]
@@ -97,13 +119,8 @@ class Pattern:
         """Blurred steps (N, n+2), led by a column of ones; slopes and derivatives by log blur (N, n+1)."""
         inverse = (1.0 / blur)[:, None]
         distance = (at[:, None] - self._edges) * inverse
-        bell = np.exp(-0.5 * distance * distance)
-        t = 1.0 / (1.0 + (_ERF_P * np.float32(np.sqrt(0.5))) * np.abs(distance))
-        a1, a2, a3, a4, a5 = _ERF
-        tail = 0.5 * (((((a5 * t + a4) * t) + a3) * t + a2) * t + a1) * t * bell
         steps = np.ones((len(at), self.cells + 2), dtype=np.float32)
-        steps[:, 1:] = np.where(distance > 0, 1.0 - tail, tail)
-        bell *= np.float32(1.0 / np.sqrt(2.0 * np.pi))
+        steps[:, 1:], bell = _step(distance)
         return steps, bell * inverse, -distance * bell
 
     @staticmethod
@@ -114,6 +131,16 @@ class Pattern:
         row, column = np.nonzero(np.diff(framed, axis=0)[:, 1:-1])
         level = np.column_stack([column, row])
         return upright.astype(np.float64), level.astype(np.float64)
+
+
+def _step(distance: Floats) -> tuple[Floats, Floats]:
+    """The normal distribution up to ``distance`` sigma (a blurred step), and its density."""
+    bell = np.exp(-0.5 * distance * distance)
+    t = 1.0 / (1.0 + (_ERF_P * np.float32(np.sqrt(0.5))) * np.abs(distance))
+    a1, a2, a3, a4, a5 = _ERF
+    tail = 0.5 * (((((a5 * t + a4) * t) + a3) * t + a2) * t + a1) * t * bell
+    bell *= np.float32(1.0 / np.sqrt(2.0 * np.pi))
+    return np.where(distance > 0, 1.0 - tail, tail), bell
 
 
 @lru_cache(maxsize=512)

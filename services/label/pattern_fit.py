@@ -5,6 +5,8 @@ See `services.label.refine` for the model; a shadow's edge (`services.label.shad
 
 from __future__ import annotations
 
+import math
+
 import cv2
 import numpy as np
 from numpy.typing import NDArray
@@ -48,6 +50,17 @@ TONE_SPREAD = 0.1
 """How bent an edge's profile is expected to be (a gamma of 2.2 is about 0.2)."""
 
 
+def _furthest(moves: Array) -> float:
+    """The length of the longest of moves (N, 2)."""
+    return math.sqrt((moves * moves).sum(axis=1).max())
+
+
+def _middle(values: Array) -> float:
+    """The median, of an even number the upper of the two."""
+    half = len(values) // 2
+    return float(np.partition(values, half)[half])
+
+
 def _apply(homography: Array, points: Array) -> Array:
     """A homography (3, 3) on points (N, 2)."""
     out = points @ homography[:, :2].T + homography[:, 2]
@@ -58,7 +71,7 @@ class PatternFit:
     """The least-squares problem of one marker; coordinates are centred and scaled for its conditioning.
 
     Unknowns: 8 of G, 3 + 3 of black and contrast (constant, along u, along v), 4 of a shadow if there is one, log
-    sigma, tone. ``contrast`` is that in full light.
+    sigma, tone. ``contrast`` is that in full light, ``corners`` (4, 2) the black square's in undistorted pixels.
     """
 
     def __init__(self, pattern: Pattern, grey: Array, where: Array, start: Array, cell_px: float) -> None:
@@ -66,19 +79,21 @@ class PatternFit:
         self._grey = grey
         self._centre = start.mean(axis=0)
         self._scale = float(np.linalg.norm(start - self._centre, axis=1).mean())
-        self._where = (where - self._centre) / self._scale
+        self._where = np.ascontiguousarray(((where - self._centre) / self._scale).T)
         n = float(pattern.cells)
         self._square = np.array([[0.0, 0.0], [n, 0.0], [n, n], [0.0, n]])
         self._g = cv2.getPerspectiveTransform(
             ((start - self._centre) / self._scale).astype(np.float32), self._square.astype(np.float32)
         ).astype(np.float64)
         self._g /= self._g[2, 2]
-        low, high = np.percentile(grey, [10, 90])
+        tenth = len(grey) // 10
+        low, high = np.partition(grey, (tenth, len(grey) - 1 - tenth))[[tenth, -1 - tenth]]
         self._light = np.array([low, 0.0, 0.0, high - low, 0.0, 0.0])
         self._sigma = float(np.clip(FIRST_SIGMA_CELLS * cell_px, LEAST_FIRST_SIGMA_PX, FIRST_SIGMA_PX))
         self._tone = 0.0
         self._shade: Shade | None = None
-        self._start = (self._g, self._light, self._sigma)
+        self.corners = self._corners_of(self._g)
+        self._start = (self._g, self.corners, self._light, self._sigma)
         self._coarsely = min(max(len(grey) // COARSE_PIXELS, 1), 4)
         self.residual = float("inf")
         self._normal = np.eye(16)
@@ -112,11 +127,6 @@ class PatternFit:
         return cls(pattern, grey, where, start, min(cell_u, cell_v))
 
     @property
-    def corners(self) -> Array:
-        """The black square's corners (4, 2) in undistorted pixels."""
-        return self._corners_of(self._g)
-
-    @property
     def contrast(self) -> float:
         """White minus black in the middle, grey levels."""
         return float(self._light[3])
@@ -141,13 +151,13 @@ class PatternFit:
     def add_shade(self, *, anew: bool) -> bool:
         """Go on with a shadow's edge, from here or (``anew``) from the start; False if the pixels show no such edge."""
         if anew:
-            self._g, self._light, self._sigma = self._start
+            self._g, self.corners, self._light, self._sigma = self._start
             self._tone = 0.0
         expected = self._pattern_at(self._where)[0].value.astype(np.float64)
-        shade = Shade.guess(self._where, self._grey, expected, self._scale)
+        shade = Shade.guess(self._where.T, self._grey, expected, self._scale)
         if shade is None:
             return False
-        lit = shade.on(self._where)[0] > 1.0 - shade.depth / 2
+        lit = shade.on(self._where.T)[0] > 1.0 - shade.depth / 2
         contrast, black = np.polyfit(expected[lit], self._grey[lit], 1)
         self._shade, self._light = shade, np.array([black, 0.0, 0.0, contrast, 0.0, 0.0])
         return True
@@ -162,7 +172,7 @@ class PatternFit:
             if not self._step(everything):
                 return False
             after = self.corners
-            moved = float(np.linalg.norm(after - before, axis=1).max())
+            moved = _furthest(after - before)
             before = after
             if everything and moved < DONE_PX:
                 return True
@@ -172,52 +182,50 @@ class PatternFit:
     def _step(self, everything: bool) -> bool:
         """One Gauss-Newton step; False where the problem has no usable solution."""
         jacobian, residual = self._linearised(1 if everything else self._coarsely)
-        if not everything:
-            jacobian = jacobian[:, :-2]
-        # Cauchy weights: dirt, glare or a finger over a part of the marker shall not pull its corners.
-        spread = max(1.4826 * float(np.median(np.abs(residual))), 1.0)
-        weight = 1.0 / (1.0 + (residual / (3.0 * spread)) ** 2) if everything else np.ones_like(residual)
-        weighted = jacobian * weight[:, None]
-        normal = weighted.T @ jacobian
-        self._variance = float(weight @ residual**2) / max(float(weight.sum()) - jacobian.shape[1], 1.0)
-        right = weighted.T @ residual
         if everything:
+            # Cauchy weights: dirt, glare or a finger over a part of the marker shall not pull its corners.
+            spread = max(1.4826 * _middle(np.abs(residual)), 1.0)
+            weight = 1.0 / (1.0 + (residual / (3.0 * spread)) ** 2)
+            weighted = jacobian * weight
+            normal, right = weighted @ jacobian.T, weighted @ residual
             normal[-1, -1] += (spread / TONE_SPREAD) ** 2
             right[-1] -= (spread / TONE_SPREAD) ** 2 * self._tone
             self._normal = normal
-        normal[np.diag_indices_from(normal)] *= 1.0 + 1e-6
-        try:
-            step = np.asarray(np.linalg.solve(normal, right), dtype=np.float64)
-        except np.linalg.LinAlgError:
-            return False
-        return bool(np.isfinite(step).all()) and self._move(step, everything)
+            self._variance = float(weight @ residual**2) / max(float(weight.sum()) - len(jacobian), 1.0)
+        else:
+            jacobian = jacobian[:-2]
+            normal, right = jacobian @ jacobian.T, jacobian @ residual
+        normal.flat[:: len(normal) + 1] *= 1.0 + 1e-6
+        solved, found = cv2.solve(normal, right, flags=cv2.DECOMP_LU)
+        step = np.asarray(found, dtype=np.float64).ravel()
+        return solved and bool(np.isfinite(step).all()) and self._move(step, everything)
 
     def _move(self, step: Array, everything: bool) -> bool:
         """Apply a step, shortened where it would throw a corner far."""
-        before = self.corners
         change = np.append(step[:8], 0.0).reshape(3, 3)
         for share in (1.0, 0.5, 0.25, 0.1):
             candidate = self._g + share * change
-            if abs(np.linalg.det(candidate)) < 1e-9:
+            if abs(cv2.determinant(candidate)) < 1e-9:
                 continue
-            if np.linalg.norm(self._corners_of(candidate) - before, axis=1).max() <= LARGEST_STEP_PX:
-                self._g = candidate
+            corners = self._corners_of(candidate)
+            if _furthest(corners - self.corners) <= LARGEST_STEP_PX:
+                self._g, self.corners = candidate, corners
                 self._light = self._light + share * step[8:14]
                 if self._shade is not None:
                     self._shade = self._shade.moved(share * step[14 : 14 + PARAMETERS])
                 if everything:
-                    self._sigma = float(np.clip(self._sigma * np.exp(np.clip(step[-2], -0.5, 0.5)), 0.3, 5.0))
-                    self._tone = float(np.clip(self._tone + step[-1], -0.45, 0.45))
+                    self._sigma = min(max(self._sigma * math.exp(min(max(step[-2], -0.5), 0.5)), 0.3), 5.0)
+                    self._tone = min(max(self._tone + float(step[-1]), -0.45), 0.45)
                 return self.contrast > 0.0
         return False
 
     def _corners_of(self, g: Array) -> Array:
-        to_pixels = np.asarray(np.linalg.inv(g), dtype=np.float64)
-        return np.asarray(_apply(to_pixels, self._square) * self._scale + self._centre)
+        _, to_pixels = cv2.invert(g)
+        return np.asarray(_apply(np.asarray(to_pixels), self._square) * self._scale + self._centre)
 
     def _pattern_at(self, where: Array) -> tuple[Values, Array, Array, Array]:
-        """The blurred pattern at points (N, 2), with their u, v (cells) and the homography's denominator w."""
-        (x, y), g = where.T, self._g
+        """The blurred pattern at points (2, N), with their u, v (cells) and the homography's denominator w."""
+        (x, y), g = where, self._g
         w = g[2, 0] * x + g[2, 1] * y + 1.0
         u = (g[0, 0] * x + g[0, 1] * y + g[0, 2]) / w
         v = (g[1, 0] * x + g[1, 1] * y + g[1, 2]) / w
@@ -230,9 +238,9 @@ class PatternFit:
         return self._pattern.at(*single), u, v, w
 
     def _linearised(self, every: int) -> tuple[Array, Array]:
-        """Of one in ``every`` pixels: Jacobian (N, unknowns), residual (N,) picture minus model, grey levels."""
-        where = self._where[::every]
-        x, y = where.T
+        """Of one in ``every`` pixels: Jacobian (unknowns, N), residual (N,) picture minus model, grey levels."""
+        where = self._where[:, ::every]
+        x, y = where
         pattern, u, v, w = self._pattern_at(where)
         p = pattern.value.astype(np.float64)
         hump = 4.0 * p * (1.0 - p)
@@ -243,15 +251,15 @@ class PatternFit:
         by_pattern = contrast * (1.0 + 4.0 * self._tone * (1.0 - 2.0 * p))
         by_u, by_v = by_pattern * pattern.by_u / w, by_pattern * pattern.by_v / w
         by_w = -(by_u * u + by_v * v)
-        columns = [by_u * x, by_u * y, by_u, by_v * x, by_v * y, by_v, by_w * x, by_w * y]
-        columns += [np.ones_like(p), across, down, toned, toned * across, toned * down]
+        rows = [by_u * x, by_u * y, by_u, by_v * x, by_v * y, by_v, by_w * x, by_w * y]
+        rows += [np.ones_like(p), across, down, toned, toned * across, toned * down]
         profile = [by_pattern * pattern.by_log_blur, contrast * hump]
         model = black + contrast * toned
         if self._shade is None:
-            jacobian = np.column_stack([*columns, *profile])
+            jacobian = np.stack([*rows, *profile])
         else:
-            light, slopes = self._shade.on(where)
-            jacobian = np.column_stack([*columns, *(slopes * (model / light)[:, None]).T, *profile]) * light[:, None]
+            light, slopes = self._shade.on(where.T)
+            jacobian = np.stack([*rows, *(slopes * (model / light)[:, None]).T, *profile]) * light
             model = model * light
         residual = self._grey[::every] - model
         self.residual = float(np.sqrt(np.mean(residual**2))) / max(abs(self._light[3]), 1e-9)
