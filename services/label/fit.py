@@ -7,7 +7,7 @@ first order and the same for every camera model (pinhole with distortion, fishey
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 
 import cv2
 import numpy as np
@@ -21,6 +21,8 @@ NEAR_MM = 1.0
 """No point of a fit may come nearer to the camera's plane."""
 _FIRST_DAMPING = 1e-5
 """Starts are good: nearly a Gauss-Newton step, at once."""
+_REFUSED_DAMPING = 1e-3
+"""Where such a step leads uphill, less damping than this changes nothing."""
 _STEP = 1e-4
 """Step (x/z units) of the lens slope's central differences."""
 
@@ -30,7 +32,8 @@ class Observed:
     """Corners as seen: ``points`` (N, 3) mm in the object frame, ``rays`` (N, 2) undistorted x/z, y/z,
     ``slopes`` (N, 2, 2) d pixel / d ray of the lens, ``sigma`` (N,) px.
 
-    ``whitening`` (2N, 2N) turns residuals x y x y ... (px) into independent ones of unit variance.
+    ``whitening`` (2N, 2N) turns residuals x y x y ... (px) into independent ones of unit variance, ``weighing``
+    (2N, 2N) those of the rays.
     """
 
     points: Array
@@ -38,6 +41,12 @@ class Observed:
     slopes: Array
     sigma: Array
     whitening: Array
+    weighing: Array = field(init=False)
+
+    def __post_init__(self) -> None:
+        count = len(self.points)
+        by_corner = self.whitening.reshape(-1, count, 1, 2) @ self.slopes
+        object.__setattr__(self, "weighing", by_corner.reshape(-1, 2 * count))
 
     @property
     def finite(self) -> bool:
@@ -96,45 +105,48 @@ def join(parts: Sequence[Observed]) -> Observed:
 
 def misfit(observed: Observed, pose: Pose) -> float:
     """The cost of a pose; infinite where a point would lie behind the camera."""
-    residuals = _residuals(observed, pose)
-    return float("inf") if residuals is None else _cost(observed, residuals)
+    off = _off(observed, pose)
+    return float("inf") if off is None else _cost(observed.weighing @ off.ravel())
 
 
 def residual_px(observed: Observed, pose: Pose) -> float:
     """Root mean square distance (px) of the corners from where the pose puts them; inf behind the camera."""
-    residuals = _residuals(observed, pose)
-    return float("inf") if residuals is None else float(np.sqrt((residuals**2).sum(axis=1).mean()))
+    off = _off(observed, pose)
+    return float("inf") if off is None else float(np.sqrt((_in_pixels(observed, off) ** 2).sum(axis=1).mean()))
 
 
 def refine(observed: Observed, start: Pose, iterations: int = 30) -> Fit | None:
     """Levenberg-Marquardt from ``start``; None where it starts behind the camera or nothing finite comes out."""
-    pose, residuals = start, _residuals(observed, start)
-    if residuals is None:
+    pose, off = start, _off(observed, start)
+    if off is None:
         return None
-    cost, damping = _cost(observed, residuals), _FIRST_DAMPING
-    information = np.zeros((6, 6))
+    white = observed.weighing @ off.ravel()
+    cost, damping = _cost(white), _FIRST_DAMPING
+    jacobian = _jacobian(observed, pose)
+    information, gradient = jacobian.T @ jacobian, jacobian.T @ white
     for _ in range(iterations):
-        jacobian = _jacobian(observed, pose)
-        information = jacobian.T @ jacobian
-        gradient = jacobian.T @ (observed.whitening @ residuals.ravel())
         step = _solve(information, gradient, damping)
         if step is None:
             return None
         moved = _moved(pose, step)
-        next_residuals = _residuals(observed, moved)
-        next_cost = float("inf") if next_residuals is None else _cost(observed, next_residuals)
-        if next_residuals is not None and next_cost <= cost:
+        next_off = _off(observed, moved)
+        if next_off is not None:
+            white = observed.weighing @ next_off.ravel()
+        next_cost = float("inf") if next_off is None else _cost(white)
+        if next_off is not None and next_cost <= cost:
             settled = cost - next_cost <= 1e-6 * cost + 1e-12
-            pose, residuals, cost, damping = moved, next_residuals, next_cost, max(damping / 10, 1e-12)
+            pose, off, cost, damping = moved, next_off, next_cost, max(damping / 10, 1e-12)
             if settled:
                 break
+            jacobian = _jacobian(observed, pose)
+            information, gradient = jacobian.T @ jacobian, jacobian.T @ white
         elif damping > 1e8:
             break
         else:
-            damping *= 10
+            damping = max(damping * 10, _REFUSED_DAMPING)
     if not (np.isfinite(cost) and np.isfinite(pose.matrix).all()):
         return None
-    return Fit(pose, cost, residuals, information)
+    return Fit(pose, cost, _in_pixels(observed, off), information)
 
 
 def square_poses(corners: Array, size_mm: float, camera: CameraModel) -> tuple[Pose, ...]:
@@ -155,16 +167,20 @@ def square_poses(corners: Array, size_mm: float, camera: CameraModel) -> tuple[P
     return tuple(pose for pose in found if np.isfinite(pose.matrix).all() and pose.translation[2] > NEAR_MM)
 
 
-def _residuals(observed: Observed, pose: Pose) -> Array | None:
+def _off(observed: Observed, pose: Pose) -> Array | None:
+    """The rays (N, 2) of a pose's corners minus those that were seen; None behind the camera."""
     xyz = pose.apply(observed.points)
     if not (xyz[:, 2] > NEAR_MM).all():  # also false for NaN
         return None
-    off = xyz[:, :2] / xyz[:, 2:] - observed.rays
+    return np.asarray(xyz[:, :2] / xyz[:, 2:] - observed.rays)
+
+
+def _in_pixels(observed: Observed, off: Array) -> Array:
     return np.asarray((observed.slopes @ off[:, :, None])[:, :, 0])
 
 
-def _cost(observed: Observed, residuals: Array) -> float:
-    return float(((observed.whitening @ residuals.ravel()) ** 2).sum())
+def _cost(white: Array) -> float:
+    return float(white @ white)
 
 
 def _jacobian(observed: Observed, pose: Pose) -> Array:
@@ -176,9 +192,8 @@ def _jacobian(observed: Observed, pose: Pose) -> Array:
     ray = np.zeros((count, 2, 3))
     ray[:, 0, 0] = ray[:, 1, 1] = inverse_z
     ray[:, :, 2] = -xyz[:, :2] * (inverse_z**2)[:, None]
-    pixel = observed.slopes @ ray
-    plain = np.concatenate([pixel @ turn_columns(turned), pixel], axis=2).reshape(2 * count, 6)
-    return np.asarray(observed.whitening @ plain)
+    plain = np.concatenate([ray @ turn_columns(turned), ray], axis=2).reshape(2 * count, 6)
+    return np.asarray(observed.weighing @ plain)
 
 
 def turn_columns(turned: Array) -> Array:
@@ -192,12 +207,9 @@ def turn_columns(turned: Array) -> Array:
 
 def _solve(information: Array, gradient: Array, damping: float) -> Array | None:
     damped = information.copy()
-    damped[np.diag_indices(6)] *= 1.0 + damping
-    try:
-        step = np.linalg.solve(damped, -gradient)
-    except np.linalg.LinAlgError:
-        return None
-    return np.asarray(step, dtype=np.float64) if np.isfinite(step).all() else None
+    damped.flat[::7] *= 1.0 + damping
+    solved, step = cv2.solve(damped, -gradient, flags=cv2.DECOMP_LU)
+    return np.asarray(step, dtype=np.float64).ravel() if solved and np.isfinite(step).all() else None
 
 
 def _moved(pose: Pose, step: Array) -> Pose:
