@@ -2,11 +2,17 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from typing import Annotated, Literal
 
 from pydantic import Field
 
 from common.labels import Part
+
+LABEL_RESTART = "label_restart"
+"""Where frames are dropped whose fate a label process took with it."""
+ALIVE = ("running", "finishing")
+"""The phases of a recording that has not ended."""
 
 
 class Gap(Part):
@@ -90,3 +96,58 @@ class Ledger(Part):
     ended_at: str | None = None
     why: str | None = None
     cameras: dict[str, CameraLedger]
+
+
+def with_recorded(account: CameraLedger, counted: int) -> CameraLedger:
+    """The account, where it lags behind the samples that are durable (``counted``)."""
+    # The account may be ahead too: a sample that two recordings share carries the name of only one of them.
+    more = counted - account.recorded
+    if more <= 0:
+        return account
+    told = counted + sum(account.refused.values()) + sum(account.dropped.values())
+    surplus = max(told - account.captured, 0)
+    # A sample that was on its way when the label process died was first given up, and became durable all the same.
+    given_up = account.dropped.get(LABEL_RESTART, 0)
+    found = min(surplus, given_up)
+    unheard = surplus - found
+    dropped = {place: frames for place, frames in account.dropped.items() if place != LABEL_RESTART}
+    if given_up > found:
+        dropped[LABEL_RESTART] = given_up - found
+    return account.model_copy(
+        update={
+            "recorded": counted,
+            "pending": max(account.pending - more, 0),
+            "captured": account.captured + unheard,
+            # Frames that the account hadn't heard of: they follow its last one, and must not be counted again.
+            "last_count": account.last_count + (unheard if account.boot else 0),
+            "dropped": dropped,
+        }
+    )
+
+
+def with_deleted(ledger: Ledger, deleted: Mapping[str, int]) -> Ledger:
+    """The ledger with these counts of deleted samples by camera."""
+    if all(account.deleted == deleted.get(camera, 0) for camera, account in ledger.cameras.items()):
+        return ledger
+    cameras = {
+        camera: account.model_copy(update={"deleted": deleted.get(camera, 0)})
+        for camera, account in ledger.cameras.items()
+    }
+    return ledger.model_copy(update={"cameras": cameras})
+
+
+def closed(ledger: Ledger, ended_at: str, why: str) -> Ledger:
+    """The ledger as ``interrupted``: frames without a fate are counted as dropped, nobody is left to tell theirs."""
+    cameras = {camera: _settled(account) for camera, account in ledger.cameras.items()}
+    return ledger.model_copy(
+        update={"phase": "interrupted", "ended_at": ended_at, "why": why, "cameras": cameras},
+    )
+
+
+def _settled(account: CameraLedger) -> CameraLedger:
+    told = account.recorded + sum(account.refused.values()) + sum(account.dropped.values())
+    lost = account.captured - told
+    dropped = {**account.dropped, "interrupted": account.dropped.get("interrupted", 0) + lost} if lost > 0 else None
+    return account.model_copy(
+        update={"captured": max(account.captured, told), "dropped": dropped or account.dropped, "pending": 0}
+    )

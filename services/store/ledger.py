@@ -15,14 +15,11 @@ from common.dataset.session import RecordingProgress, SessionCamera, SessionFile
 from common.errors import RefusedError
 from common.ids import sample_camera
 from common.labels import CameraLabel
-from common.ledgers import CameraLedger, Ledger, RecordingSpec
+from common.ledgers import ALIVE, CameraLedger, Ledger, RecordingSpec, closed, with_deleted, with_recorded
 from common.messages import ErrorInfo, LedgerOrder
 from services.store.records import summed
 
 UNKNOWN_RECORDING = "no_recording"
-LABEL_RESTART = "label_restart"
-"""Where frames are dropped whose fate a label process took with it."""
-_ALIVE = ("running", "finishing")
 _CALIBRATION = ("width", "height", "model", "matrix", "distortion")
 
 
@@ -112,7 +109,7 @@ class Book:
         self._recorded.setdefault(recording, Counter())[camera] += 1
         ledger = self._recordings.get(recording)
         # A running recording's next account brings the count to the disk, and the next start counts anew.
-        if ledger is not None and ledger.phase not in _ALIVE:
+        if ledger is not None and ledger.phase not in ALIVE:
             self.revision += 1
 
     def samples_moved(self, samples: Mapping[str, str | None], *, deleted: bool) -> None:
@@ -136,9 +133,9 @@ class Book:
             ledger = ledger.model_copy(update={"cameras": {**ledger.cameras, camera: order.account}})
         if order.ended and camera not in progress.ended:
             progress = progress.model_copy(update={"ended": (*progress.ended, camera)})
-        if order.why and ledger.phase in _ALIVE:
+        if order.why and ledger.phase in ALIVE:
             ledger = ledger.model_copy(update={"why": order.why})
-        if ledger.phase in _ALIVE and _all_ended(ledger.spec, ledger, progress):
+        if ledger.phase in ALIVE and _all_ended(ledger.spec, ledger, progress):
             ledger = ledger.model_copy(update={"phase": "ended", "ended_at": iso_utc(now_wall_ns)})
         self._recordings[name], self._progress[name] = ledger, progress
         self.revision += 1
@@ -152,7 +149,7 @@ class Book:
             phase="ended",
             ended_at=iso_utc(now_wall_ns),
             why=order.why,
-            cameras={order.camera: _with_count(order.account, counted)},
+            cameras={order.camera: with_recorded(order.account, counted)},
         )
 
     def count_entry(self, entry: Ledger) -> None:
@@ -181,31 +178,25 @@ class Book:
 
     def running(self) -> tuple[str, ...]:
         """The recordings that have not ended."""
-        return tuple(name for name, ledger in self._recordings.items() if ledger.phase in _ALIVE)
+        return tuple(name for name, ledger in self._recordings.items() if ledger.phase in ALIVE)
 
     def close_earlier(self, now_wall_ns: int) -> tuple[str, ...]:
         """Close what an earlier life of the stack left running; returns the recordings' names.
 
         Frames without a fate are counted as dropped (``interrupted``): nobody is left to tell theirs.
         """
-        closed = []
+        earlier = []
         for name in self.running():
             progress = self._progress.get(name)
             if progress is not None and progress.life == self._life:
                 continue
             ledger = self._with_counts(self._recordings[name])
-            self._recordings[name] = ledger.model_copy(
-                update={
-                    "phase": "interrupted",
-                    "ended_at": iso_utc(now_wall_ns),
-                    "why": "the stack ended before the recording did",
-                    "cameras": {camera: _settle(account) for camera, account in ledger.cameras.items()},
-                }
-            )
-            closed.append(name)
-        if closed:
+            why = "the stack ended before the recording did"
+            self._recordings[name] = closed(ledger, iso_utc(now_wall_ns), why)
+            earlier.append(name)
+        if earlier:
             self.revision += 1
-        return tuple(closed)
+        return tuple(earlier)
 
     def with_deleted(self, ledger: Ledger) -> Ledger:
         """A ledger from ``records.jsonl``, whose lines never change, with what was deleted since."""
@@ -225,66 +216,16 @@ class Book:
         counted = self._recorded.get(ledger.spec.recording)
         if counted:
             cameras = {
-                camera: _with_count(ledger.cameras.get(camera, CameraLedger()), counted.get(camera, 0))
+                camera: with_recorded(ledger.cameras.get(camera, CameraLedger()), counted.get(camera, 0))
                 for camera in {**ledger.cameras, **counted}
             }
             ledger = ledger.model_copy(update={"cameras": cameras})
         return self.with_deleted(ledger)
 
 
-def with_deleted(ledger: Ledger, deleted: Mapping[str, int]) -> Ledger:
-    """The ledger with these counts of deleted samples by camera."""
-    if all(account.deleted == deleted.get(camera, 0) for camera, account in ledger.cameras.items()):
-        return ledger
-    cameras = {
-        camera: account.model_copy(update={"deleted": deleted.get(camera, 0)})
-        for camera, account in ledger.cameras.items()
-    }
-    return ledger.model_copy(update={"cameras": cameras})
-
-
 def no_such(session: str, recording: str) -> ErrorInfo:
     """The refusal for an unknown recording."""
     return ErrorInfo(code=UNKNOWN_RECORDING, message=f"session {session} has no recording '{recording}'")
-
-
-def _with_count(account: CameraLedger, counted: int) -> CameraLedger:
-    # The account may be ahead too: a sample that two recordings share carries the name of only one of them.
-    more = counted - account.recorded
-    if more <= 0:
-        return account
-    told = counted + sum(account.refused.values()) + sum(account.dropped.values())
-    surplus = max(told - account.captured, 0)
-    # A sample that was on its way when the label process died was first given up, and became durable all the same.
-    given_up = account.dropped.get(LABEL_RESTART, 0)
-    found = min(surplus, given_up)
-    unheard = surplus - found
-    dropped = {place: frames for place, frames in account.dropped.items() if place != LABEL_RESTART}
-    if given_up > found:
-        dropped[LABEL_RESTART] = given_up - found
-    return account.model_copy(
-        update={
-            "recorded": counted,
-            "pending": max(account.pending - more, 0),
-            "captured": account.captured + unheard,
-            # Frames that the account hadn't heard of: they follow its last one, and must not be counted again.
-            "last_count": account.last_count + (unheard if account.boot else 0),
-            "dropped": dropped,
-        }
-    )
-
-
-def _settle(account: CameraLedger) -> CameraLedger:
-    told = account.recorded + sum(account.refused.values()) + sum(account.dropped.values())
-    lost = account.captured - told
-    dropped = {**account.dropped, "interrupted": account.dropped.get("interrupted", 0) + lost} if lost > 0 else None
-    return account.model_copy(
-        update={
-            "captured": max(account.captured, told),
-            "dropped": dropped or account.dropped,
-            "pending": 0,
-        }
-    )
 
 
 def _all_ended(spec: RecordingSpec, ledger: Ledger, progress: RecordingProgress) -> bool:

@@ -361,11 +361,41 @@ def what_inspect_finds_broken_is_moved_by_the_stack(ask: Ask, stack: Stack, caps
     assert "the running stack may be about to write" in told
     assert alone.exists()
     assert ask(command="samples", filter={"bin": True})["samples"][0]["name"] == newest
-    assert main(["dataset", "split", str(session_of(stack)), "--by", "camera", *rig]) == EXIT_REFUSED
-    assert "a running stack has the session test open" in capsys.readouterr().err
     alone.unlink()
     ask(command="restore", samples=[newest])
     picture.write_bytes(whole)
+
+
+def new_sessions_are_made_of_the_one_that_is_being_recorded(
+    ask: Ask, stack: Stack, label_side: StoreSide, capsys: pytest.CaptureFixture[str]
+) -> None:
+    """Samples come in all the while; those answered before are in the new session, whole, with their account."""
+    rig = ("--rig", str(stack.folder / "rig.yaml"))
+    label_side.answer_to(label_side.ledger(spec("rec-live"), CameraLedger(captured=9, recorded=0), ended=False))
+    made = {}
+    for name, words in (
+        ("renamed", ["rename-class", str(session_of(stack)), "front", "face", "--into", "renamed"]),
+        ("test-cam0", ["split", str(session_of(stack)), "--by", "camera"]),
+    ):
+        before = ask(command="samples", limit=500)["samples"]
+        under_way = [label_side.store(100 + len(before) + n, recording="rec-live") for n in range(4)]
+        assert main(["dataset", *words, *rig]) == EXIT_OK
+        for key in under_way:
+            assert label_side.answer_to(key).error is None
+        made[name] = set(places(session_of(stack, name)))
+        assert made[name] >= {item["name"] for item in before}
+        capsys.readouterr()
+        main(["inspect", str(session_of(stack, name)), "--verify", "--json", *rig])
+        problems = json.loads(capsys.readouterr().out)["problems"]
+        assert [one for one in problems if one["kind"] != "contradiction"] == []
+    assert (
+        main(["dataset", "merge", str(session_of(stack)), str(session_of(stack, "renamed")), "--into", "x", *rig])
+        == EXIT_REFUSED
+    )
+    assert "different rigs" in capsys.readouterr().err
+    ledger = read_session(session_of(stack, "test-cam0")).recordings["rec-live"]
+    assert (ledger.phase, ledger.cameras["cam0"].settled) == ("interrupted", True)
+    label_side.answer_to(label_side.ledger(spec("rec-live"), CameraLedger(captured=9, recorded=8), ended=True))
 
 
 def a_ledger_tells_what_was_deleted_whoever_keeps_it(ask: Ask, label_side: StoreSide) -> None:
@@ -376,10 +406,13 @@ def a_ledger_tells_what_was_deleted_whoever_keeps_it(ask: Ask, label_side: Store
     ask(command="restore", samples=[undone])
 
 
-def test_over_the_command_socket(ask: Ask, stack: Stack, label_side: StoreSide) -> None:
+def test_over_the_command_socket(
+    ask: Ask, stack: Stack, label_side: StoreSide, capsys: pytest.CaptureFixture[str]
+) -> None:
     what_is_wrong_is_said_and_changes_nothing(ask, stack)
     a_ledger_tells_what_was_deleted_whoever_keeps_it(ask, label_side)
     everybody_hears_at_once_what_was_stored_deleted_and_restored(ask, stack, label_side)
+    new_sessions_are_made_of_the_one_that_is_being_recorded(ask, stack, label_side, capsys)
 
 
 def test_undo_and_restore_by_hand_and_by_command_line(

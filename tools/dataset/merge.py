@@ -5,6 +5,7 @@ from __future__ import annotations
 import argparse
 
 from common.dataset.derive import Taken
+from common.dataset.snapshot import Snapshot
 from common.errors import RefusedError
 from tools.dataset.deriving import add_rig, beside, make, session_named, tell
 
@@ -22,4 +23,4 @@ def run(args: argparse.Namespace) -> int:
     if len({folder.resolve() for folder in folders}) < max(len(folders), 2):
         raise RefusedError("name two sessions or more, each once", code="refused")
     target = beside(folders[0], args.into)
-    return tell(args, [(target, make(target, [Taken(folder) for folder in folders]))])
+    return tell(args, [(target, make(target, [Taken(Snapshot(folder)) for folder in folders]))])

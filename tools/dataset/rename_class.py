@@ -8,8 +8,8 @@ from __future__ import annotations
 import argparse
 from typing import Any
 
-from common.dataset import read_session
 from common.dataset.derive import Taken
+from common.dataset.snapshot import Snapshot
 from common.errors import RefusedError
 from common.labels import Label, ObjectLabel
 from tools.dataset.deriving import add_rig, beside, make, session_named, tell
@@ -31,7 +31,8 @@ def add_parser(parser: argparse.ArgumentParser) -> None:
 def run(args: argparse.Namespace) -> int:
     """Labels and rig are renamed alike."""
     folder = session_named(args, args.session)
-    objects: dict[str, Any] = read_session(folder).rig.get("objects") or {}
+    source = Snapshot(folder)
+    objects: dict[str, Any] = source.session.rig.get("objects") or {}
     wanted = _objects_with(args, objects)
     target = beside(folder, args.into)
 
@@ -43,7 +44,7 @@ def run(args: argparse.Namespace) -> int:
         known = rig.get("objects") or {}
         return {**rig, "objects": {name: _described(args, row, name in wanted) for name, row in known.items()}}
 
-    return tell(args, [(target, make(target, [Taken(folder)], relabel, describe))])
+    return tell(args, [(target, make(target, [Taken(source)], relabel, describe))])
 
 
 def _objects_with(args: argparse.Namespace, objects: dict[str, Any]) -> set[str]:

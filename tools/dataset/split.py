@@ -5,10 +5,9 @@ from __future__ import annotations
 import argparse
 from collections import defaultdict
 
-from common.dataset import SessionReader
 from common.dataset.bin import no_sample
 from common.dataset.derive import Taken
-from common.dataset.head import recording_of
+from common.dataset.snapshot import Snapshot
 from common.errors import RefusedError
 from common.ids import sample_camera
 from tools.dataset.deriving import add_rig, beside, make, session_named, tell
@@ -32,22 +31,23 @@ def add_parser(parser: argparse.ArgumentParser) -> None:
 def run(args: argparse.Namespace) -> int:
     """Each part is made whole or not at all."""
     folder = session_named(args, args.session)
-    parts = _parts(args, folder.resolve().name, SessionReader(folder))
+    source = Snapshot(folder)
+    parts = _parts(args, folder.resolve().name, source)
     targets = [(beside(folder, name), samples) for name, samples in parts.items()]
     taken = next((target for target, _ in targets if target.exists()), None)
     if taken is not None:
         raise RefusedError(f"there is a session {taken.name} in {taken.parent} already", code="session_exists")
-    return tell(args, [(target, make(target, [Taken(folder, samples)])) for target, samples in targets])
+    return tell(args, [(target, make(target, [Taken(source, samples)])) for target, samples in targets])
 
 
-def _parts(args: argparse.Namespace, name: str, reader: SessionReader) -> dict[str, tuple[str, ...]]:
+def _parts(args: argparse.Namespace, name: str, reader: Snapshot) -> dict[str, tuple[str, ...]]:
     samples = reader.samples()
     if args.by is not None:
         if args.into or args.rest or args.samples:
             raise RefusedError("--by makes parts by itself: leave --into, --rest and samples out", code="refused")
         parts: dict[str, list[str]] = defaultdict(list)
         for sample in samples:
-            recording = recording_of(reader.folder, sample) or _NO_RECORDING
+            recording = reader.known[sample] or _NO_RECORDING
             parts[sample_camera(sample) if args.by == "camera" else recording].append(sample)
         return {f"{name}-{part}": tuple(members) for part, members in sorted(parts.items())}
     if args.into is None:

@@ -13,10 +13,12 @@ from pathlib import Path
 from typing import Any
 
 from common.dataset import SessionFile, SessionReader, label_path, make_folder, write_json
-from common.dataset.derive import SESSION_EXISTS, describe_session, making
+from common.dataset.derive import SESSION_EXISTS, making
+from common.dataset.derived_session import describe_session
 from common.dataset.faults import explain
 from common.dataset.head import recording_of
 from common.dataset.session import versions_now
+from common.dataset.snapshot import Snapshot
 from common.errors import DatasetError, RefusedError, TagmillError
 from common.service.crew import Crew, Failure
 from services.store.disk import RESERVE_BYTES, require_room
@@ -120,7 +122,8 @@ def _make(
         first, why = next(iter(done.sentences.items()))
         raise RefusedError(f"no sample of {reader.folder.name} could be made again; {first}: {why}", code="no_sample")
     taken = {sample: recording_of(staging, sample) for sample in SessionReader(staging).samples()}
-    describe_session(staging, target.name, [reader], taken, whole=True, describe=lambda file: _described(file, recipe))
+    before = Snapshot(reader.folder)
+    describe_session(staging, target.name, [before], taken, whole=True, describe=lambda file: _described(file, recipe))
     return done
 
 

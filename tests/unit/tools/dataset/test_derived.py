@@ -12,11 +12,15 @@ from pathlib import Path
 import pytest
 
 from common.dataset import SESSION_FILE, SessionFile, SessionReader, picture_path, read_session
+from common.dataset.bin import delete, restore
+from common.dataset.derive import Taken, derive
 from common.dataset.locks import FolderLock
+from common.dataset.snapshot import Snapshot
 from common.errors import EXIT_FOUND, EXIT_OK, EXIT_REFUSED
 from common.labels import Label
 from common.ledgers import CameraLedger, Ledger
-from tests.support.samples import label_for, spec
+from services.store.sample import write_sample
+from tests.support.samples import label_for, pixels, spec
 from tests.support.sessions import make_session, places
 from tools.cli import main
 
@@ -172,16 +176,57 @@ def test_mistakes_are_told_and_make_nothing(root: Path, words: list[str], told: 
     assert everything(root) == before
 
 
-def test_what_a_stack_has_open_is_refused(root: Path, capsys: Captured) -> None:
+def test_what_a_stack_has_open_is_taken_as_it_is(root: Path, capsys: Captured) -> None:
+    """The store holds the lock, its recording runs, and its last word about it is older than the last sample."""
+    monday = read_session(root / "monday")
+    running = monday.recordings["rec-b"].model_copy(
+        update={"phase": "running", "cameras": {"cam0": CameraLedger(captured=9, recorded=1, pending=3)}}
+    )
+    open_one = monday.model_copy(update={"recordings": {**monday.recordings, "rec-b": running}})
+    (root / "monday" / SESSION_FILE).write_bytes(open_one.to_bytes())
+    before = everything(root / "monday")
     with FolderLock(root / "monday"):
         for words in (
-            ["merge", "tuesday", "monday", "--into", "x"],
+            ["merge", "tuesday", "monday", "--into", "week"],
             ["split", "monday", "--by", "recording"],
-            ["rename-class", "monday", "front", "face", "--into", "x"],
+            ["rename-class", "monday", "front", "face", "--into", "renamed"],
         ):
-            assert main(["dataset", *words]) == EXIT_REFUSED
-            assert "a running stack has the session monday open" in capsys.readouterr().err
-    assert sorted(path.name for path in root.iterdir()) == ["monday", "tuesday"]
+            assert main(["dataset", *words]) == EXIT_OK
+    assert everything(root / "monday") == before
+    for name, samples in (("week", 7), ("monday-rec-a", 3), ("monday-rec-b", 2), ("renamed", 5)):
+        assert len(SessionReader(root / name).samples()) == samples
+        assert whole(root / name, capsys)
+    ledger = read_session(root / "monday-rec-b").recordings["rec-b"]
+    account = ledger.cameras["cam0"]
+    assert (ledger.phase, account.recorded, account.dropped, account.settled) == (
+        "interrupted",
+        2,
+        {"interrupted": 7},
+        True,
+    )
+    assert ledger.why == "it was still running when monday-rec-b was made of monday"
+
+
+def test_parts_of_different_moments_are_merged_by_the_later_account(root: Path, capsys: Captured) -> None:
+    assert main(["dataset", "split", "monday", "--by", "recording"]) == EXIT_OK
+    ledgered(root / "later", [label_for(n) for n in (6, 7)], refused=9)
+    assert main(["dataset", "merge", "later", "monday-rec-a", "--into", "all-of-a"]) == EXIT_OK
+    account = read_session(root / "all-of-a").recordings["rec-a"].cameras["cam0"]
+    assert (account.recorded, account.settled) == (5, True)
+    assert whole(root / "all-of-a", capsys)
+
+
+def test_samples_deleted_and_stored_meanwhile_change_nothing(root: Path, capsys: Captured) -> None:
+    monday = Snapshot(root / "monday")
+    first, second, *_ = names = monday.samples()
+    delete(root / "monday", [first, second])
+    late = label_for(99, recording="rec-b")
+    write_sample(root / "monday", late, {"rgb": pixels(99)[0], "depth": pixels(99)[1]}, reserve=0)
+    assert derive(root / "then", [Taken(monday)]) == len(names)
+    assert SessionReader(root / "then").samples() == names
+    assert whole(root / "then", capsys)
+    assert len(Snapshot(root / "monday").samples()) == len(names) - 1
+    restore(root / "monday", [first, second])
 
 
 def test_a_damaged_source_makes_nothing(root: Path, capsys: Captured) -> None:
@@ -196,8 +241,9 @@ def test_a_kill_leaves_nothing_that_counts_and_the_next_attempt_clears_it(root: 
     """Killed within the last step, before the name is given."""
     script = (
         "import os, signal; from common.dataset import derive as d; from pathlib import Path\n"
+        "from common.dataset.snapshot import Snapshot\n"
         "Path.rename = lambda *_: os.kill(os.getpid(), signal.SIGKILL)\n"
-        f"d.derive(Path({str(root / 'week')!r}), [d.Taken(Path({str(root / 'monday')!r}))])\n"
+        f"d.derive(Path({str(root / 'week')!r}), [d.Taken(Snapshot(Path({str(root / 'monday')!r})))])\n"
     )
     done = subprocess.run([sys.executable, "-c", script], cwd=Path(__file__).parents[4], check=False)
     assert done.returncode == -9
