@@ -114,8 +114,17 @@ class Box:
 
     def face_polygon(self, face: FaceName) -> Array:
         """The face's corners (4, 3) TL TR BR BL, as its viewer sees them, in the object frame."""
-        width, height, _ = self.face_size(face)
-        return self.face_pose(face).apply(MARKER_CORNERS * np.array([width, height, 0.0]))
+        kept = self._face_polygons.get(face)
+        if kept is None:
+            width, height, _ = self.face_size(face)
+            kept = self.face_pose(face).apply(MARKER_CORNERS * np.array([width, height, 0.0]))
+            kept.flags.writeable = False
+            self._face_polygons[face] = kept
+        return kept
+
+    @cached_property
+    def _face_polygons(self) -> dict[FaceName, Array]:
+        return {}
 
     def marker_pose(self, side: BoxSide, marker: MarkerOnSide) -> Pose:
         """Marker frame to object frame: R = [right up normal] Rz(rotation), t = face centre + offset."""
@@ -144,7 +153,18 @@ class Box:
 
     def marker_corners(self, side: BoxSide, marker: MarkerOnSide, widen_mm: float = 0.0) -> Array:
         """A marker's corners (4, 3) TL TR BR BL in the object frame, widened on each side by ``widen_mm``."""
-        return self.marker_pose(side, marker).apply(marker_points(marker.size_mm + 2 * widen_mm))
+        if widen_mm:
+            return self.marker_pose(side, marker).apply(marker_points(marker.size_mm + 2 * widen_mm))
+        kept = self._marker_corners.get((side.face, marker))
+        if kept is None:
+            kept = self.marker_pose(side, marker).apply(marker_points(marker.size_mm))
+            kept.flags.writeable = False
+            self._marker_corners[side.face, marker] = kept
+        return kept
+
+    @cached_property
+    def _marker_corners(self) -> dict[tuple[FaceName, MarkerOnSide], Array]:
+        return {}
 
     def markers(self) -> tuple[tuple[BoxSide, MarkerOnSide], ...]:
         """All markers with the side that carries each."""

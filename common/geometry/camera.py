@@ -19,6 +19,7 @@ NEAR_MM = 1.0
 """Points nearer than this to the camera's plane, or behind it, have no projection."""
 ROUND_TRIP_PX = 0.01
 """A pixel whose ray doesn't project back to it within this has no ray."""
+_ZERO = np.zeros(3)
 MARGIN = 1.1
 """The distortion model is trusted to this multiple of the radius that the picture's corners need."""
 
@@ -124,12 +125,12 @@ class CameraModel:
         return np.where(beyond[:, None], centre + (at_limit - centre) / scale, at_limit)
 
     def _distort(self, xy: Array) -> Array:
-        xyz = np.column_stack([xy, np.ones(len(xy))]).reshape(-1, 1, 3)
-        zero = np.zeros(3)
+        xyz = np.ones((len(xy), 1, 3))
+        xyz[:, 0, :2] = xy
         if self.model == "fisheye":
-            pixels, _ = cv2.fisheye.projectPoints(xyz, zero, zero, self.matrix, self.distortion[:4])
+            pixels, _ = cv2.fisheye.projectPoints(xyz, _ZERO, _ZERO, self.matrix, self.distortion[:4])
         else:
-            pixels, _ = cv2.projectPoints(xyz, zero, zero, self.matrix, self.distortion)
+            pixels, _ = cv2.projectPoints(xyz, _ZERO, _ZERO, self.matrix, self.distortion)
         return np.asarray(pixels, dtype=np.float64).reshape(-1, 2)
 
     def _trusted_radius(self) -> float:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from dataclasses import dataclass
 
 import cv2
@@ -45,10 +46,16 @@ class Pose:
         out[:3, 3] = self.translation
         return out
 
+    @property
+    def finite(self) -> bool:
+        """Whether all of it is."""
+        return math.isfinite(float(self.rotation.sum() + self.translation.sum()))
+
     def apply(self, points: ArrayLike) -> Array:
         """Transform points (N, 3)."""
         xyz = np.asarray(points, dtype=np.float64).reshape(-1, 3)
-        return np.asarray(xyz @ self.rotation.T + self.translation, dtype=np.float64)
+        moved: Array = xyz @ self.rotation.T + self.translation
+        return moved
 
     def after(self, first: Pose) -> Pose:
         """``self`` applied after ``first``: (b_to_c).after(a_to_b) is a_to_c."""
@@ -60,18 +67,14 @@ class Pose:
 
     def angle_to(self, other: Pose) -> float:
         """The angle (rad) of the rotation between two poses."""
-        cosine = (np.trace(self.rotation.T @ other.rotation) - 1) / 2
-        return float(np.arccos(np.clip(cosine, -1.0, 1.0)))
+        cosine = (float(np.vdot(self.rotation, other.rotation)) - 1) / 2  # vdot: the trace of R1' R2
+        return math.acos(min(max(cosine, -1.0), 1.0))
 
     def label(self) -> PoseLabel:
         """As it is written into labels."""
-        rows = tuple((float(a), float(b), float(c), float(d)) for a, b, c, d in self.matrix)
+        rows = tuple(tuple(row) for row in self.matrix.tolist())
         return PoseLabel.model_validate(
-            {
-                "rvec": tuple(float(v) for v in self.rvec),
-                "tvec_mm": tuple(float(v) for v in self.translation),
-                "matrix": rows,
-            }
+            {"rvec": tuple(self.rvec.tolist()), "tvec_mm": tuple(self.translation.tolist()), "matrix": rows}
         )
 
     @classmethod

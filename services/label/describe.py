@@ -83,7 +83,7 @@ def _facing(side: SideLabel) -> float:
 
 def _side_label(box: Box, fit: MarkerFit, pose: Pose, camera: CameraModel, seen: Seen | None) -> SideLabel:
     side, marker = fit.seen.side, fit.seen.marker
-    centre = pose.apply(box.marker_pose(side, marker).translation)[0]
+    centre = pose.rotation @ box.marker_pose(side, marker).translation + pose.translation
     return SideLabel.model_validate(
         {
             "class": side.class_name,

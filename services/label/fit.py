@@ -6,8 +6,10 @@ first order and the same for every camera model (pinhole with distortion, fishey
 
 from __future__ import annotations
 
+import math
 from collections.abc import Sequence
 from dataclasses import dataclass, field
+from typing import NamedTuple
 
 import cv2
 import numpy as np
@@ -105,56 +107,54 @@ def join(parts: Sequence[Observed]) -> Observed:
 
 def misfit(observed: Observed, pose: Pose) -> float:
     """The cost of a pose; infinite where a point would lie behind the camera."""
-    off = _off(observed, pose)
-    return float("inf") if off is None else _cost(observed.weighing @ off.ravel())
+    placed = _placed(observed, pose)
+    return float("inf") if placed is None else placed.cost
 
 
 def residual_px(observed: Observed, pose: Pose) -> float:
     """Root mean square distance (px) of the corners from where the pose puts them; inf behind the camera."""
-    off = _off(observed, pose)
-    return float("inf") if off is None else float(np.sqrt((_in_pixels(observed, off) ** 2).sum(axis=1).mean()))
+    placed = _placed(observed, pose)
+    if placed is None:
+        return float("inf")
+    residuals = _residuals_px(observed, placed)
+    return math.sqrt(float(np.vdot(residuals, residuals)) / len(residuals))
 
 
 def refine(observed: Observed, start: Pose, iterations: int = 30) -> Fit | None:
     """Levenberg-Marquardt from ``start``; None where it starts behind the camera or nothing finite comes out."""
-    pose, off = start, _off(observed, start)
-    if off is None:
+    pose, placed = start, _placed(observed, start)
+    if placed is None:
         return None
-    white = observed.weighing @ off.ravel()
-    cost, damping = _cost(white), _FIRST_DAMPING
-    jacobian = _jacobian(observed, pose)
-    information, gradient = jacobian.T @ jacobian, jacobian.T @ white
+    damping = _FIRST_DAMPING
+    jacobian = _jacobian(observed, placed)
+    information, gradient = jacobian.T @ jacobian, jacobian.T @ placed.whitened
     for _ in range(iterations):
         step = _solve(information, gradient, damping)
         if step is None:
             return None
         moved = _moved(pose, step)
-        next_off = _off(observed, moved)
-        if next_off is not None:
-            white = observed.weighing @ next_off.ravel()
-        next_cost = float("inf") if next_off is None else _cost(white)
-        if next_off is not None and next_cost <= cost:
-            settled = cost - next_cost <= 1e-6 * cost + 1e-12
-            pose, off, cost, damping = moved, next_off, next_cost, max(damping / 10, 1e-12)
+        ahead = _placed(observed, moved)
+        if ahead is not None and ahead.cost <= placed.cost:
+            settled = placed.cost - ahead.cost <= 1e-6 * placed.cost + 1e-12
+            pose, placed, damping = moved, ahead, max(damping / 10, 1e-12)
             if settled:
                 break
-            jacobian = _jacobian(observed, pose)
-            information, gradient = jacobian.T @ jacobian, jacobian.T @ white
+            jacobian = _jacobian(observed, placed)
+            information, gradient = jacobian.T @ jacobian, jacobian.T @ placed.whitened
         elif damping > 1e8:
             break
         else:
             damping = max(damping * 10, _REFUSED_DAMPING)
-    if not (np.isfinite(cost) and np.isfinite(pose.matrix).all()):
+    if not (math.isfinite(placed.cost) and pose.finite):
         return None
-    return Fit(pose, cost, _in_pixels(observed, off), information)
+    return Fit(pose, placed.cost, _residuals_px(observed, placed), information)
 
 
-def square_poses(corners: Array, size_mm: float, camera: CameraModel) -> tuple[Pose, ...]:
-    """Both poses (marker to camera frame) of a square marker from its corners (4, 2) px, better one first.
+def square_poses(rays: Array, size_mm: float) -> tuple[Pose, ...]:
+    """Both poses (marker to camera frame) of a square marker from its corners' rays (4, 2), better one first.
 
     Method: infinitesimal plane-based pose estimation for squares (Collins and Bartoli, IJCV 2014), cv2's.
     """
-    rays = camera.normalise(corners)
     if not np.isfinite(rays).all():
         return ()
     half = size_mm / 2
@@ -164,36 +164,56 @@ def square_poses(corners: Array, size_mm: float, camera: CameraModel) -> tuple[P
     except cv2.error:  # corners on one line have no homography: a degenerate quadrilateral, not a marker
         return ()
     found = (Pose.from_rvec(rvec, tvec) for rvec, tvec in zip(rvecs, tvecs, strict=True))
-    return tuple(pose for pose in found if np.isfinite(pose.matrix).all() and pose.translation[2] > NEAR_MM)
+    return tuple(pose for pose in found if pose.finite and pose.translation[2] > NEAR_MM)
 
 
-def _off(observed: Observed, pose: Pose) -> Array | None:
-    """The rays (N, 2) of a pose's corners minus those that were seen; None behind the camera."""
-    xyz = pose.apply(observed.points)
-    if not (xyz[:, 2] > NEAR_MM).all():  # also false for NaN
-        return None
-    return np.asarray(xyz[:, :2] / xyz[:, 2:] - observed.rays)
+class _Placed(NamedTuple):
+    """The points under a pose: ``turned`` (N, 3) about the object's origin, ``depth`` (N,), ``rays`` (N, 2)."""
+
+    turned: Array
+    depth: Array
+    rays: Array
+    off: Array
+    whitened: Array
+    cost: float
 
 
-def _in_pixels(observed: Observed, off: Array) -> Array:
-    return np.asarray((observed.slopes @ off[:, :, None])[:, :, 0])
-
-
-def _cost(white: Array) -> float:
-    return float(white @ white)
-
-
-def _jacobian(observed: Observed, pose: Pose) -> Array:
-    """d residual / d (rotation in the camera frame about the object's origin, shift), (2N, 6), whitened."""
+def _placed(observed: Observed, pose: Pose) -> _Placed | None:
+    """None where a point would lie behind the camera."""
     turned = observed.points @ pose.rotation.T
     xyz = turned + pose.translation
-    inverse_z = 1.0 / xyz[:, 2]
-    count = len(xyz)
-    ray = np.zeros((count, 2, 3))
-    ray[:, 0, 0] = ray[:, 1, 1] = inverse_z
-    ray[:, :, 2] = -xyz[:, :2] * (inverse_z**2)[:, None]
-    plain = np.concatenate([ray @ turn_columns(turned), ray], axis=2).reshape(2 * count, 6)
-    return np.asarray(observed.weighing @ plain)
+    depth = xyz[:, 2]
+    if not depth.min() > NEAR_MM:  # also for NaN
+        return None
+    rays = xyz[:, :2] / xyz[:, 2:]
+    off = rays - observed.rays
+    whitened = observed.weighing @ off.ravel()
+    return _Placed(turned, depth, rays, off, whitened, float(whitened @ whitened))
+
+
+def _residuals_px(observed: Observed, placed: _Placed) -> Array:
+    return np.asarray((observed.slopes @ placed.off[:, :, None])[:, :, 0])
+
+
+def _jacobian(observed: Observed, placed: _Placed) -> Array:
+    """d residual / d (rotation in the camera frame about the object's origin, shift), (2N, 6), whitened.
+
+    Of a ray u = x/z, v = y/z: the rows of d (x, y, z) / d rotation are those of ``turn_columns``.
+    """
+    x, y, z = placed.turned.T
+    u, v = placed.rays.T
+    ray = np.zeros((len(z), 2, 6))
+    ray[:, 0, 0] = -u * y
+    ray[:, 0, 1] = z + u * x
+    ray[:, 0, 2] = -y
+    ray[:, 0, 3] = 1.0
+    ray[:, 1, 0] = -z - v * y
+    ray[:, 1, 1] = v * x
+    ray[:, 1, 2] = x
+    ray[:, 1, 4] = 1.0
+    ray[:, :, 5] = -placed.rays
+    ray /= placed.depth[:, None, None]
+    return np.asarray(observed.weighing @ ray.reshape(-1, 6))
 
 
 def turn_columns(turned: Array) -> Array:
@@ -207,9 +227,24 @@ def turn_columns(turned: Array) -> Array:
 
 def _solve(information: Array, gradient: Array, damping: float) -> Array | None:
     damped = information.copy()
-    damped.flat[::7] *= 1.0 + damping
-    solved, step = cv2.solve(damped, -gradient, flags=cv2.DECOMP_LU)
-    return np.asarray(step, dtype=np.float64).ravel() if solved and np.isfinite(step).all() else None
+    damped.reshape(-1)[::7] *= 1.0 + damping
+    solved, found = cv2.solve(damped, -gradient)
+    if not solved:
+        return None
+    step: Array = np.asarray(found, dtype=np.float64).ravel()
+    return step if math.isfinite(float(step @ step)) else None
+
+
+def covariance_of(information: Array) -> Array:
+    """The inverse of ``information`` (6, 6) of a rotation (rad) and a shift (mm), or of fewer such parameters."""
+    # Radians and millimetres differ by orders of magnitude: scaled first, for the inverse's digits.
+    scale = 1.0 / np.sqrt(np.maximum(information.diagonal(), 1e-12))
+    scales = scale[:, None] * scale
+    try:
+        inverse = np.linalg.inv(information * scales)
+    except np.linalg.LinAlgError:
+        inverse = np.linalg.pinv(information * scales, hermitian=True)
+    return np.asarray(inverse * scales)
 
 
 def _moved(pose: Pose, step: Array) -> Pose:

@@ -8,13 +8,14 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
+from functools import cached_property
 
 import numpy as np
 from numpy.typing import NDArray
 
 from common.errors import PoseError
 from common.geometry import Box, CameraModel, Pose
-from services.label.fit import Fit, Observed, join, misfit, observe, refine, residual_px, square_poses
+from services.label.fit import Fit, Observed, covariance_of, join, misfit, observe, refine, residual_px, square_poses
 from services.label.visibility import faces_camera
 from services.label.visible_objects import SeenMarker
 
@@ -73,6 +74,11 @@ class BoxPose:
     observed: Observed
     rivals: tuple[tuple[Pose, float], ...] = ()
     inflation: float = 1.0
+
+    @cached_property
+    def covariance(self) -> Array:
+        """Of a rotation (rad) and a shift (mm) in the camera frame (6, 6), around ``pose`` alone."""
+        return covariance_of(self.information) * self.inflation
 
     @property
     def ambiguous(self) -> bool:
@@ -149,9 +155,9 @@ def _view(box: Box, seen: SeenMarker, camera: CameraModel) -> _View | None:
     on_box = box.marker_pose(seen.side, seen.marker)
     points = box.marker_corners(seen.side, seen.marker)
     observed = observe(points, seen.corners, np.full(4, seen.noise_px), camera, seen.covariance)
-    if not (observed.finite and np.isfinite(seen.corners).all()):
+    if not observed.finite:
         return None
-    own = square_poses(seen.corners, seen.marker.size_mm, camera)
+    own = square_poses(observed.rays, seen.marker.size_mm)
     starts = tuple(pose.after(on_box.inverse()) for pose in own)
     return _View(seen, observed, own, starts) if own else None
 

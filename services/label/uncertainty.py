@@ -14,7 +14,7 @@ from numpy.typing import NDArray
 
 from common.geometry import FACES, Box, CameraModel, Pose
 from common.labels import Uncertainty
-from services.label.fit import NEAR_MM, Observed, turn_columns
+from services.label.fit import NEAR_MM, Observed, covariance_of, turn_columns
 from services.label.pose import BoxPose
 
 Array = NDArray[np.float64]
@@ -57,7 +57,7 @@ def quick_uncertainty(box: Box, found: BoxPose, camera: CameraModel) -> Uncertai
 
 def spread_of(found: BoxPose, *, tilts: bool = True) -> Spread:
     """The poses that fit a box's markers as well as the noise allows; without ``tilts`` faster, but just the bells."""
-    covariance = _inverse(found.information) * found.inflation
+    covariance = found.covariance
     sides = {fit.seen.side.face for fit in found.markers}
     if tilts and len(sides) == 1:
         normal = np.array(FACES[next(iter(sides))].normal, dtype=np.float64)
@@ -102,16 +102,10 @@ def _corner_slopes(box: Box, pose: Pose, camera: CameraModel) -> Array:
     moves = np.concatenate([turn_columns(turned) * _STEP_RAD, np.tile(np.eye(3) * _STEP_MM, (len(turned), 1, 1))], 2)
     xyz = (turned + pose.translation)[:, None, :]
     steps = moves.transpose(0, 2, 1)
-    ahead, _ = camera.project((xyz + steps).reshape(-1, 3))
-    behind, _ = camera.project((xyz - steps).reshape(-1, 3))
-    by_step = (ahead - behind).reshape(len(turned), 6, 2) / 2
+    pixels, _ = camera.project(np.concatenate([xyz + steps, xyz - steps]).reshape(-1, 3))
+    ahead, behind = pixels.reshape(2, len(turned), 6, 2)
+    by_step = (ahead - behind) / 2
     return np.asarray((by_step / np.repeat([_STEP_RAD, _STEP_MM], 3)[:, None]).transpose(0, 2, 1))
-
-
-def _inverse(information: Array) -> Array:
-    # Radians and millimetres differ by orders of magnitude: scaled first, for the inverse's digits.
-    scale = 1.0 / np.sqrt(np.maximum(np.diag(information), 1e-12))
-    return np.asarray(np.linalg.pinv(information * np.outer(scale, scale), hermitian=True) * np.outer(scale, scale))
 
 
 def _sampled_tilts(found: BoxPose, normal: Array, covariance: Array) -> Spread | None:
@@ -161,7 +155,7 @@ def _without_tilt(found: BoxPose, first: Array, second: Array) -> Array:
     free = np.zeros((6, 4))
     free[:3, 0] = np.cross(first, second)
     free[3:, 1:] = np.eye(3)
-    return np.asarray(free @ _inverse(free.T @ found.information @ free) @ free.T * found.inflation)
+    return np.asarray(free @ covariance_of(free.T @ found.information @ free) @ free.T * found.inflation)
 
 
 def _settled(observed: Observed, rotations: Array, shifts: Array, sight: Array) -> tuple[Array, Array, Array]:

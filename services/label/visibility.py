@@ -23,9 +23,8 @@ def viewing_angle(pose: Pose, face: FaceName, at: Array) -> float:
 
     0 is squarely facing the camera, above 90 the face is turned away.
     """
-    normal = pose.rotation @ _NORMALS[face]
-    point = pose.apply(at)[0]
-    cosine = float(-normal @ point) / max(math.sqrt(point @ point), 1e-12)
+    point = pose.rotation @ at + pose.translation
+    cosine = -float(pose.rotation @ _NORMALS[face] @ point) / max(math.hypot(*point), 1e-12)
     return math.degrees(math.acos(min(max(cosine, -1.0), 1.0)))
 
 
@@ -36,8 +35,8 @@ def marker_angle(pose: Pose, box: Box, side: BoxSide, marker: MarkerOnSide) -> f
 
 def faces_camera(pose: Pose, box: Box, side: BoxSide, marker: MarkerOnSide) -> bool:
     """Whether the marker's printed surface is turned to the camera and the marker's centre lies before it."""
-    centre = pose.apply(box.marker_pose(side, marker).translation)[0]
-    return bool(centre[2] > NEAR_MM) and marker_angle(pose, box, side, marker) < 90.0
+    depth = float(pose.rotation[2] @ box.marker_pose(side, marker).translation + pose.translation[2])
+    return depth > NEAR_MM and marker_angle(pose, box, side, marker) < 90.0
 
 
 def marker_hidden(

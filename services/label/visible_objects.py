@@ -21,6 +21,7 @@ Array = NDArray[np.float64]
 CORNER_NOISE_PX = {"photometric": 0.05, "edges": 0.1, "apriltag": 0.1, "subpix": 0.3, "contour": 0.7}
 """Standard deviation of a corner (px, one axis) by how it was found, as measured on rendered
 markers; a fit that turns out worse than this counts as noisier (``services.label.pose``)."""
+_NEXT = np.array([1, 2, 3, 0])
 SAME_PLACE = 0.25
 """Two detections of one id whose centres are nearer than this share of their side are one marker seen twice."""
 
@@ -112,7 +113,8 @@ def not_detected(marker: MarkerOnSide, box: Box) -> LeftOut:
 
 def side_length(corners: Array) -> float:
     """Mean side length (px) of a quadrilateral (4, 2)."""
-    return float(np.linalg.norm(corners - np.roll(corners, -1, axis=0), axis=1).mean())
+    sides = corners - corners[_NEXT]
+    return float(np.hypot(sides[:, 0], sides[:, 1]).mean())
 
 
 def _by_id(detected: Iterable[DetectedMarker]) -> dict[int, list[DetectedMarker]]:

@@ -36,7 +36,7 @@ def project_box(box: Box, pose: Pose, camera: CameraModel) -> ProjectedBox:
     camera, the points where the box's edges pass the near plane stand in for them. Raises PoseError if the box lies
     wholly behind the camera or the pose is not finite.
     """
-    if not np.isfinite(pose.matrix).all():
+    if not pose.finite:
         raise PoseError(f"the pose of {box.name} is not finite", code="bad_pose")
     xyz = pose.apply(box.corners)
     pixels, front = camera.project(xyz)
@@ -80,6 +80,8 @@ def clip_near(polygon: Array) -> Array:
 
     Method: Sutherland and Hodgman 1974.
     """
+    if polygon[:, 2].min(initial=np.inf) >= NEAR_MM:
+        return polygon
     kept: list[Array] = []
     for here, there in zip(polygon, np.roll(polygon, -1, axis=0), strict=True):
         if here[2] >= NEAR_MM:
@@ -91,7 +93,7 @@ def clip_near(polygon: Array) -> Array:
 
 def points(pixels: Array) -> tuple[Point, ...]:
     """Pixels (N, 2) as they are written into labels."""
-    return tuple((float(x), float(y)) for x, y in pixels)
+    return tuple((x, y) for x, y in pixels.tolist())
 
 
 def _near_crossings(xyz: Array) -> Array:
