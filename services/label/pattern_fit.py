@@ -13,6 +13,7 @@ from numpy.typing import NDArray
 
 from services.label.edge_pattern import Pattern, Values
 from services.label.lens import Lens
+from services.label.robust import median
 from services.label.shade import PARAMETERS, Shade
 
 Array = NDArray[np.float64]
@@ -55,12 +56,6 @@ def _furthest(moves: Array) -> float:
     return math.sqrt((moves * moves).sum(axis=1).max())
 
 
-def _middle(values: Array) -> float:
-    """The median, of an even number the upper of the two."""
-    half = len(values) // 2
-    return float(np.partition(values, half)[half])
-
-
 def _apply(homography: Array, points: Array) -> Array:
     """A homography (3, 3) on points (N, 2)."""
     out = points @ homography[:, :2].T + homography[:, 2]
@@ -79,7 +74,8 @@ class PatternFit:
         self._grey = grey
         self._centre = start.mean(axis=0)
         self._scale = float(np.linalg.norm(start - self._centre, axis=1).mean())
-        self._where = np.ascontiguousarray(((where - self._centre) / self._scale).T)
+        self._where = np.ones((3, len(where)))
+        self._where[:2] = ((where - self._centre) / self._scale).T
         n = float(pattern.cells)
         self._square = np.array([[0.0, 0.0], [n, 0.0], [n, n], [0.0, n]])
         self._g = cv2.getPerspectiveTransform(
@@ -154,10 +150,10 @@ class PatternFit:
             self._g, self.corners, self._light, self._sigma = self._start
             self._tone = 0.0
         expected = self._pattern_at(self._where)[0].value.astype(np.float64)
-        shade = Shade.guess(self._where.T, self._grey, expected, self._scale)
+        shade = Shade.guess(self._where[:2].T, self._grey, expected, self._scale)
         if shade is None:
             return False
-        lit = shade.on(self._where.T)[0] > 1.0 - shade.depth / 2
+        lit = shade.on(self._where[:2].T)[0] > 1.0 - shade.depth / 2
         contrast, black = np.polyfit(expected[lit], self._grey[lit], 1)
         self._shade, self._light = shade, np.array([black, 0.0, 0.0, contrast, 0.0, 0.0])
         return True
@@ -184,7 +180,7 @@ class PatternFit:
         jacobian, residual = self._linearised(1 if everything else self._coarsely)
         if everything:
             # Cauchy weights: dirt, glare or a finger over a part of the marker shall not pull its corners.
-            spread = max(1.4826 * _middle(np.abs(residual)), 1.0)
+            spread = max(1.4826 * median(np.abs(residual)), 1.0)
             weight = 1.0 / (1.0 + (residual / (3.0 * spread)) ** 2)
             weighted = jacobian * weight
             normal, right = weighted @ jacobian.T, weighted @ residual
@@ -223,44 +219,46 @@ class PatternFit:
         _, to_pixels = cv2.invert(g)
         return np.asarray(_apply(np.asarray(to_pixels), self._square) * self._scale + self._centre)
 
-    def _pattern_at(self, where: Array) -> tuple[Values, Array, Array, Array]:
-        """The blurred pattern at points (2, N), with their u, v (cells) and the homography's denominator w."""
-        (x, y), g = where, self._g
-        w = g[2, 0] * x + g[2, 1] * y + 1.0
-        u = (g[0, 0] * x + g[0, 1] * y + g[0, 2]) / w
-        v = (g[1, 0] * x + g[1, 1] * y + g[1, 2]) / w
+    @np.errstate(over="ignore", invalid="ignore")
+    def _pattern_at(self, where: Array) -> tuple[Values, Array, Array]:
+        """The blurred pattern at points (3, N), x y 1, with their u, v (2, N) in cells and the homography's w (N,).
+
+        Corners on a line have a homography that single precision can't hold: nothing finite comes out.
+        """
+        cells = self._g @ where
+        w = cells[2]
+        cells = cells[:2] / w
         # The blur is isotropic in the picture; across an edge of constant u it is sigma times |grad u|.
-        sigma = self._sigma / self._scale
-        u_x, u_y, v_x, v_y = g[0, 0] - u * g[2, 0], g[0, 1] - u * g[2, 1], g[1, 0] - v * g[2, 0], g[1, 1] - v * g[2, 1]
-        along_u, along_v = np.hypot(u_x, u_y), np.hypot(v_x, v_y)
-        skew = (u_x * v_x + u_y * v_y) / (along_u * along_v)
-        single = (a.astype(np.float32) for a in (u, v, sigma * along_u / np.abs(w), sigma * along_v / np.abs(w), skew))
-        return self._pattern.at(*single), u, v, w
+        single, g = cells.astype(np.float32), self._g.astype(np.float32)
+        slopes = g[:2, :2, None] - single[:, None] * g[2, :2, None]
+        along = np.sqrt(slopes[:, 0] * slopes[:, 0] + slopes[:, 1] * slopes[:, 1])
+        skew = (slopes[0, 0] * slopes[1, 0] + slopes[0, 1] * slopes[1, 1]) / (along[0] * along[1])
+        blur = along * np.abs(self._sigma / self._scale / w).astype(np.float32)
+        return self._pattern.at(single[0], single[1], blur[0], blur[1], skew), cells, w
 
     def _linearised(self, every: int) -> tuple[Array, Array]:
         """Of one in ``every`` pixels: Jacobian (unknowns, N), residual (N,) picture minus model, grey levels."""
         where = self._where[:, ::every]
-        x, y = where
-        pattern, u, v, w = self._pattern_at(where)
+        pattern, cells, w = self._pattern_at(where)
         p = pattern.value.astype(np.float64)
         hump = 4.0 * p * (1.0 - p)
         toned = p + self._tone * hump
-        across, down = u / self._pattern.cells - 0.5, v / self._pattern.cells - 0.5
-        black = self._light[0] + self._light[1] * across + self._light[2] * down
-        contrast = self._light[3] + self._light[4] * across + self._light[5] * down
+        # One, and the place on the marker along u and v, -0.5 to 0.5: what black and contrast vary with.
+        place = np.ones_like(where)
+        place[1:] = cells / self._pattern.cells - 0.5
+        contrast = self._light[3:] @ place
         by_pattern = contrast * (1.0 + 4.0 * self._tone * (1.0 - 2.0 * p))
         by_u, by_v = by_pattern * pattern.by_u / w, by_pattern * pattern.by_v / w
-        by_w = -(by_u * u + by_v * v)
-        rows = [by_u * x, by_u * y, by_u, by_v * x, by_v * y, by_v, by_w * x, by_w * y]
-        rows += [np.ones_like(p), across, down, toned, toned * across, toned * down]
-        profile = [by_pattern * pattern.by_log_blur, contrast * hump]
-        model = black + contrast * toned
+        by_w = -(by_u * cells[0] + by_v * cells[1])
+        rows = [by_u * where, by_v * where, by_w * where[:2], place, toned * place]
+        profile = [[by_pattern * pattern.by_log_blur, contrast * hump]]
+        model = self._light[:3] @ place + contrast * toned
         if self._shade is None:
-            jacobian = np.stack([*rows, *profile])
+            jacobian = np.concatenate(rows + profile)
         else:
-            light, slopes = self._shade.on(where.T)
-            jacobian = np.stack([*rows, *(slopes * (model / light)[:, None]).T, *profile]) * light
+            light, slopes = self._shade.on(where[:2].T)
+            jacobian = np.concatenate([*rows, (slopes * (model / light)[:, None]).T, *profile]) * light
             model = model * light
         residual = self._grey[::every] - model
-        self.residual = float(np.sqrt(np.mean(residual**2))) / max(abs(self._light[3]), 1e-9)
+        self.residual = math.sqrt(residual @ residual / len(residual)) / max(abs(self._light[3]), 1e-9)
         return jacobian, residual

@@ -252,11 +252,12 @@ def test_an_unknown_id_is_a_callers_mistake() -> None:
         refine(np.zeros((100, 100), np.uint8), marker, TAG)
 
 
-def test_the_patterns_slopes_are_its_derivatives() -> None:
+@pytest.mark.parametrize("width", [0.08, 0.3])
+def test_the_patterns_slopes_are_its_derivatives(width: float) -> None:
     pattern = pattern_of(TAG.bitmap(7))
     rng = np.random.default_rng(13)
     u, v = rng.uniform(-0.5, 8.5, (2, 400)).astype(np.float32)
-    blur = np.full(400, 0.15, dtype=np.float32)
+    blur = np.full(400, width, dtype=np.float32)
     here, step = pattern.at(u, v, blur, blur), np.float32(2e-3)
     along_u = (pattern.at(u + step, v, blur, blur).value - pattern.at(u - step, v, blur, blur).value) / (2 * step)
     along_v = (pattern.at(u, v + step, blur, blur).value - pattern.at(u, v - step, blur, blur).value) / (2 * step)
@@ -265,6 +266,17 @@ def test_the_patterns_slopes_are_its_derivatives() -> None:
     assert np.abs(here.by_u - along_u).max() < 0.02
     assert np.abs(here.by_v - along_v).max() < 0.02
     assert np.abs(here.by_log_blur - by_blur).max() < 0.01
+
+
+def test_a_sharp_pattern_hardly_feels_any_but_the_nearest_edges() -> None:
+    pattern = pattern_of(TAG.bitmap(7))
+    u, v = np.random.default_rng(13).uniform(-0.5, 8.5, (2, 400)).astype(np.float32)
+    blur, skew = np.full(400, 0.149, dtype=np.float32), np.full(400, 0.3, dtype=np.float32)
+    near = pattern.at(u, v, blur, blur, skew)
+    blur[-1] = 1.0  # one point that feels them all, and all are asked
+    exact = pattern.at(u, v, blur, blur, skew)
+    for name, most in (("value", 1e-3), ("by_u", 0.03), ("by_v", 0.03), ("by_log_blur", 0.01)):
+        assert np.abs(getattr(near, name) - getattr(exact, name))[:-1].max() < most
 
 
 def test_the_pattern_without_blur_is_the_bitmap() -> None:
