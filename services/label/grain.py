@@ -16,7 +16,8 @@ _BOX = 9
 _CALM = 1.6
 """Blocks whose variance is above so many times the lower quartile hold a feature, not grain."""
 _RAMP = np.sin((np.arange(_BLOCK) + 0.5) * np.pi / _BLOCK)
-_WINDOW = np.outer(_RAMP, _RAMP).astype(np.float32)[..., None]
+_WINDOW = np.repeat(np.outer(_RAMP, _RAMP), 3, axis=1).astype(np.float32)
+"""(rows, columns x channels)"""
 
 
 def grain(bgr: Picture, sources: Mask, size: tuple[int, int], seed: int) -> Floats | None:
@@ -33,18 +34,19 @@ def grain(bgr: Picture, sources: Mask, size: tuple[int, int], seed: int) -> Floa
     half = _BLOCK // 2
     width, height = size
     down, along = height // half + 2, width // half + 2
-    canvas = np.zeros(((down + 2) // 2 * _BLOCK + half, (along + 2) // 2 * _BLOCK + half, 3), dtype=np.float32)
-    blocks = np.lib.stride_tricks.sliding_window_view(residual, (_BLOCK, _BLOCK), axis=(0, 1))
+    # Rows of pixels with their channels side by side: a block's row is one run of memory.
+    canvas = np.zeros(((down + 2) // 2 * _BLOCK + half, ((along + 2) // 2 * _BLOCK + half) * 3), dtype=np.float32)
+    blocks = np.lib.stride_tricks.sliding_window_view(residual.reshape(len(residual), -1), _WINDOW.shape)[:, ::3]
     for y in (0, half):
-        for x in (0, half):
+        for x in (0, half * 3):
             # A quarter of the blocks, which lie side by side: one copy for all of them.
-            rows, columns = (canvas.shape[0] - y) // _BLOCK, (canvas.shape[1] - x) // _BLOCK
+            rows, columns = (canvas.shape[0] - y) // _BLOCK, (canvas.shape[1] - x) // _WINDOW.shape[1]
             chosen = places[random.integers(0, len(places), rows * columns)]
-            tiles = blocks[chosen[:, 0], chosen[:, 1]].transpose(0, 2, 3, 1) * _WINDOW
-            laid = tiles.reshape(rows, columns, _BLOCK, _BLOCK, 3).swapaxes(1, 2)
-            part = canvas[y : y + rows * _BLOCK, x : x + columns * _BLOCK]
+            tiles = blocks[chosen[:, 0], chosen[:, 1]] * _WINDOW
+            laid = tiles.reshape(rows, columns, *_WINDOW.shape).swapaxes(1, 2)
+            part = canvas[y : y + rows * _BLOCK, x : x + columns * _WINDOW.shape[1]]
             part += laid.reshape(part.shape)
-    return canvas[half : half + height, half : half + width]
+    return canvas.reshape(len(canvas), -1, 3)[half : half + height, half : half + width]
 
 
 def _donors(bgr: Picture, sources: Mask) -> tuple[Floats, NDArray[np.intp]] | None:
@@ -53,17 +55,18 @@ def _donors(bgr: Picture, sources: Mask) -> tuple[Floats, NDArray[np.intp]] | No
     whole = cv2.erode(mask, np.ones((_BLOCK, _BLOCK), np.uint8), anchor=(0, 0), borderValue=0)[::2, ::2] > 0
     if not whole.any():
         return None
-    values = cv2.bitwise_and(bgr, bgr, mask=mask).astype(np.float32)
-    weights = np.asarray(_smoothed(mask.astype(np.float32)), dtype=np.float32)
-    residual = values - _smoothed(values) / np.maximum(weights, 1e-3)[..., None]
+    values = np.asarray(cv2.bitwise_and(bgr, bgr, mask=mask), dtype=np.uint8)
+    share = cv2.merge([np.maximum(_smoothed(mask), np.float32(1e-3))] * 3)
+    residual = cv2.subtract(values, cv2.divide(_smoothed(values), share), dtype=cv2.CV_32F)
     # Green is enough to tell where a feature lies.
-    green = np.ascontiguousarray(residual[..., 1])
+    green = cv2.extractChannel(residual, 1)
     energy = cv2.boxFilter(green * green, -1, (_BLOCK, _BLOCK), anchor=(0, 0), borderType=cv2.BORDER_CONSTANT)[::2, ::2]
-    calm = whole & (energy <= _CALM * float(np.quantile(energy[whole], 0.25)) + 1e-3)
+    among = np.sort(energy[whole])
+    calm = whole & (energy <= _CALM * float(among[len(among) // 4]) + 1e-3)
     return np.asarray(residual, dtype=np.float32), np.argwhere(calm) * 2
 
 
-def _smoothed(values: Floats) -> Floats:
+def _smoothed(values: Picture) -> Floats:
     """Nearly a Gaussian: two boxes, which cost the same for any width."""
     size = (_BOX, _BOX)
-    return np.asarray(cv2.blur(cv2.blur(values, size), size), dtype=np.float32)
+    return np.asarray(cv2.blur(cv2.boxFilter(values, cv2.CV_32F, size), size), dtype=np.float32)
