@@ -7,11 +7,14 @@ enter on both sides. One-sided features, lettering say, end at the hole: nothing
 
 from __future__ import annotations
 
+from functools import lru_cache
+
 import cv2
 import numpy as np
 from numpy.typing import NDArray
 
 from services.label.rectify import rectified
+from services.label.robust import median
 
 Array = NDArray[np.float64]
 Floats = NDArray[np.float32]
@@ -67,26 +70,29 @@ def _ground(values: Floats, weights: Floats) -> Floats:
 
 def _robust_trend(mean: Floats, known: Mask) -> tuple[Floats, Floats]:
     """A quadratic through most of the known cells, and by how much each cell belongs to it (Tukey's biweight)."""
-    rows, columns = known.shape
-    y, x = np.meshgrid(np.linspace(-1, 1, rows), np.linspace(-1, 1, columns), indexing="ij")
-    basis = np.stack([np.ones_like(x), x, y, x * x, x * y, y * y], axis=-1)
-    at, seen = basis[known], mean[known].astype(np.float64)
+    basis = _quadratics(*known.shape)
+    at, seen = basis[:, known], np.ascontiguousarray(mean[known].T, dtype=np.float64)
     # Begins at the colour that most of the surroundings have, then lets the quadratic bend step by step.
-    residual = seen - np.median(seen, axis=0)
-    solution = np.zeros((6, 3))
-    trust = np.ones(len(seen))
+    residual = seen - np.array([[median(channel)] for channel in seen])
     for terms in (1, 3, 6, 6):
-        spread = np.sqrt(np.einsum("ij,ij->i", residual, residual))
-        scale = max(float(np.median(spread)), _LEAST_SCALE)
-        trust = np.clip(1.0 - (spread / (_TUKEY * scale)) ** 2, 0.0, None) ** 2
-        weighted = at[:, :terms] * trust[:, None]
-        normal = weighted.T @ at[:, :terms] + 1e-3 * np.eye(terms)
-        solution[:] = 0.0
-        solution[:terms] = np.linalg.solve(normal, weighted.T @ seen)
-        residual = seen - at @ solution
+        spread = (residual * residual).sum(axis=0)  # squared, as is its scale
+        scale = max(median(spread), _LEAST_SCALE**2)
+        trust = np.maximum(1.0 - spread / (_TUKEY**2 * scale), 0.0) ** 2
+        weighted = at[:terms] * trust
+        normal = weighted @ at[:terms].T + 1e-3 * np.eye(terms)
+        solution = np.linalg.solve(normal, weighted @ seen.T)
+        residual = seen - solution.T @ at[:terms]
     belongs = np.zeros(known.shape, dtype=np.float32)
     belongs[known] = trust
-    return (basis @ solution).astype(np.float32), belongs
+    trend = basis.reshape(6, -1).T @ solution
+    return trend.reshape(mean.shape).astype(np.float32), belongs
+
+
+@lru_cache(maxsize=64)
+def _quadratics(rows: int, columns: int) -> Array:
+    """The six terms (6, rows, columns) of a quadratic over a grid from -1 to 1."""
+    y, x = np.meshgrid(np.linspace(-1, 1, rows), np.linspace(-1, 1, columns), indexing="ij")
+    return np.stack([np.ones_like(x), x, y, x * x, x * y, y * y])
 
 
 def membrane(values: Floats, weights: Floats) -> Floats:
@@ -101,11 +107,13 @@ def membrane(values: Floats, weights: Floats) -> Floats:
     below: Floats = np.asarray(cv2.resize(fixed, half, interpolation=cv2.INTER_AREA), dtype=np.float32)
     below /= np.maximum(share, np.float32(1e-6))[..., None]
     solved = membrane(below, np.minimum(share * 2, np.float32(1.0)))
-    free = (1 - weights)[..., None]
-    out = fixed + cv2.resize(solved, (width, height), interpolation=cv2.INTER_LINEAR) * free
+    free = np.asarray(cv2.merge([1 - weights] * 3), dtype=np.float32)
+    out = np.asarray(cv2.resize(solved, (width, height), interpolation=cv2.INTER_LINEAR) * free + fixed, np.float32)
     for _ in range(_SWEEPS):
-        out = fixed + cv2.blur(out, (3, 3), borderType=cv2.BORDER_REPLICATE) * free
-    return np.asarray(out, dtype=np.float32)
+        cv2.blur(out, (3, 3), dst=out, borderType=cv2.BORDER_REPLICATE)
+        out *= free
+        out += fixed
+    return out
 
 
 def _add_stripes(filled: Floats, values: Floats, weights: Floats, hole: tuple[int, int, int, int]) -> None:
@@ -135,7 +143,7 @@ def _across(ground: Floats, values: Floats, weights: Floats, left: int, right: i
         return None
     first_size, second_size = np.linalg.norm(first, axis=1), np.linalg.norm(second, axis=1)
     strength = np.minimum(first_size, second_size)
-    noise = max(float(np.median(np.concatenate([first_size[first_seen], second_size[second_seen]]))), 0.5)
+    noise = max(median(np.concatenate([first_size[first_seen], second_size[second_seen]])), 0.5)
     apart = np.linalg.norm(first - second, axis=1)
     agree = np.exp(-((apart / (0.35 * strength + noise)) ** 2)) * (strength > 3 * noise) * both
     if not agree.any():

@@ -32,11 +32,11 @@ class Grid:
 
     def look(self, bgr: Picture, sources: Mask) -> tuple[Floats, Picture]:
         """The picture seen through the grid: colours (h, w, 3) float32, zero where no source is, and 255 where one."""
-        flags = cv2.INTER_LINEAR | cv2.WARP_INVERSE_MAP
-        values = cv2.warpPerspective(bgr, self.to_pixel, self.size, flags=flags, borderMode=cv2.BORDER_REPLICATE)
         mask = sources.view(np.uint8) * np.uint8(255)
-        seen = cv2.warpPerspective(mask, self.to_pixel, self.size, flags=flags, borderMode=cv2.BORDER_CONSTANT)
-        _, seen = cv2.threshold(seen, 250, 255, cv2.THRESH_BINARY)
+        both = cv2.merge([*cv2.split(bgr), mask])
+        both = cv2.warpPerspective(both, self.to_pixel, self.size, flags=cv2.INTER_LINEAR | cv2.WARP_INVERSE_MAP)
+        _, seen = cv2.threshold(cv2.extractChannel(both, 3), 250, 255, cv2.THRESH_BINARY)
+        values = cv2.cvtColor(both, cv2.COLOR_BGRA2BGR)
         values = cv2.bitwise_and(values, values, mask=seen)
         return values.astype(np.float32), np.asarray(seen, dtype=np.uint8)
 
