@@ -14,6 +14,7 @@ from numpy.typing import NDArray
 
 from services.label.masks import Crop, area_of, crop_around, mask_of
 from services.label.occlusion import NEARER_MM, NEARER_SHARE, NEARER_SIGMA, DepthPicture
+from services.label.robust import median
 from services.label.surfaces import Region, Surface
 
 Array = NDArray[np.float64]
@@ -43,14 +44,17 @@ def covering(regions: Sequence[Region], depth: DepthPicture) -> Covering | None:
     rim of 3 px around it feeds no fill. A hole in the depth picture covers nothing.
     """
     height, width = depth.values.shape
-    found = Covering(np.zeros((height, width), dtype=bool), np.zeros((height, width), dtype=bool))
-    bare = np.zeros((height, width), dtype=bool)
+    groups = []
     for group in _by_surface(regions):
         crop = crop_around([region.polygon for region in group], width, height)
-        if crop is None:
-            continue
-        before = _nearer(group[0].surface, depth, crop)
-        if not before.any():
+        if crop is not None:
+            groups.append((group, crop, _nearer(group[0].surface, depth, crop)))
+    if all(before is None for _, _, before in groups):
+        return None
+    found = Covering(np.zeros((height, width), dtype=bool), np.zeros((height, width), dtype=bool))
+    bare = np.zeros((height, width), dtype=bool)
+    for group, crop, before in groups:
+        if before is None:
             for region in group:
                 bare[crop.slices] |= mask_of([region.polygon], crop) > 0
             continue
@@ -76,15 +80,12 @@ def _by_surface(regions: Sequence[Region]) -> list[list[Region]]:
     return list(groups.values())
 
 
-def _nearer(surface: Surface | None, depth: DepthPicture, crop: Crop) -> NDArray[np.uint8]:
-    """Where (1, else 0) the crop's depth lies before the surface's plane; nowhere if that isn't known."""
+def _nearer(surface: Surface | None, depth: DepthPicture, crop: Crop) -> NDArray[np.uint8] | None:
+    """Where (1, else 0) the crop's depth lies before the surface's plane; None if nowhere, or if that isn't known."""
     if surface is None or surface.depth_row is None:
-        return np.zeros((crop.bottom - crop.top, crop.right - crop.left), dtype=np.uint8)
+        return None
     values = depth.values[crop.slices]
     middle = np.asarray(cv2.medianBlur(np.where(values == 0, np.uint16(_FAR), values), _PATCH), dtype=np.uint16)
-    apart = cv2.absdiff(values, middle)[::_SPARSE, ::_SPARSE]
-    apart = apart[((values > 0) & (middle < _FAR))[::_SPARSE, ::_SPARSE]]
-    noise = 1.4826 * float(np.median(apart)) * depth.unit_mm if apart.size else 0.0
     smooth = middle * np.float32(depth.unit_mm)
     # On the plane z is linear in its coordinates, which a homography makes a quotient of two forms of the pixel.
     back = np.linalg.inv(surface.to_pixel)
@@ -94,9 +95,19 @@ def _nearer(surface: Surface | None, depth: DepthPicture, crop: Crop) -> NDArray
     above, below = (np.asarray(row / scale, dtype=np.float32) for row in (surface.depth_row @ back, back[2]))
     with np.errstate(divide="ignore", invalid="ignore"):
         plane = (above[0] * u + above[1] * v + above[2]) / (below[0] * u + below[1] * v + below[2])
-        slack = np.maximum(NEARER_MM, np.maximum(NEARER_SHARE * plane, NEARER_SIGMA * noise))
-        near = np.asarray(smooth < plane - slack)
+        before = plane - smooth
+        near = np.asarray(before > np.maximum(NEARER_MM, NEARER_SHARE * plane))
+    if not near.any():
+        return None
+    near &= before > NEARER_SIGMA * _noise_mm(values, middle, depth.unit_mm)
     if surface.outline is not None:
         # Beyond its side a plane goes on, and at a grazing angle it is soon behind the wall.
         near &= np.asarray(cv2.dilate(area_of(surface.outline, crop), _BAND)) > 0
-    return near.astype(np.uint8)
+    return near.astype(np.uint8) if near.any() else None
+
+
+def _noise_mm(values: NDArray[np.uint16], middle: NDArray[np.uint16], unit_mm: float) -> float:
+    """One sigma of a depth picture's pixels, from how they scatter around the median of their neighbours."""
+    apart = cv2.absdiff(values, middle)[::_SPARSE, ::_SPARSE]
+    apart = apart[((values > 0) & (middle < _FAR))[::_SPARSE, ::_SPARSE]]
+    return 1.4826 * median(apart) * unit_mm if apart.size else 0.0

@@ -97,13 +97,12 @@ def _filled(task: _Task, crop: Crop, surface: Surface | None) -> Picture:
     last = len(layers) - 1
     if float(layers[0].min()) > 0.99:
         return _one(task, task.sources, to_pixel)
+    if float(layers[0][task.hole].min()) > 0.98:
+        return _one(task, _inside(task, layers[0]), to_pixel)
     total = np.zeros(task.bgr.shape, dtype=np.float32)
     for number, share in enumerate(layers):
         if float(share[task.hole].max()) > 0.02:
-            area = task.sources & (share > 0.5)
-            # Well inside its edges where it is large enough, for they hold a part of what lies beyond.
-            inner = area & _apart(share > 0.5)
-            here = inner if cv2.countNonZero(inner.view(np.uint8)) > _ENOUGH else area
+            here = _inside(task, share)
             if number == last:
                 # A room is no plane, and only a rim of it is missing: what is nearest counts.
                 filled = membrane(task.bgr.astype(np.float32), here.astype(np.float32))
@@ -111,6 +110,13 @@ def _filled(task: _Task, crop: Crop, surface: Surface | None) -> Picture:
                 filled = _one(task, here, shift if number else to_pixel).astype(np.float32)
             total += share[..., None] * filled
     return np.asarray(np.clip(np.rint(total), 0, 255), dtype=np.uint8)
+
+
+def _inside(task: _Task, share: Floats) -> Mask:
+    """What may be looked at of a layer; of a large one not its edges, which hold a part of what lies beyond."""
+    area = task.sources & (share > 0.5)
+    inner = area & _apart(share > 0.5)
+    return inner if cv2.countNonZero(inner.view(np.uint8)) > _ENOUGH else area
 
 
 def _layers(surface: Surface, outline: Array, crop: Crop) -> list[Floats]:

@@ -236,8 +236,10 @@ def _cut(
     marker: int, because: Literal["detected", "pose"], outline: Array | None, camera: CameraModel
 ) -> list[ErasedPolygon]:
     """The part of an outline that lies in the picture (with one pixel around it, for pixels cut in half)."""
-    if outline is None or not np.isfinite(outline).all():
+    if outline is None or len(outline) < 3 or not np.isfinite(outline).all():
         return []
+    if outline.min() >= -1.0 and (outline.max(axis=0) <= (camera.width, camera.height)).all():
+        return [ErasedPolygon(marker=marker, because=because, polygon=points(outline))]
     for axis, limit, sign in ((0, -1.0, 1), (0, camera.width, -1), (1, -1.0, 1), (1, camera.height, -1)):
         outline = _clip(outline, axis, limit, sign)
         if len(outline) < 3:

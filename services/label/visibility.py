@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Iterable
+from collections.abc import Sequence
 
 import numpy as np
 from numpy.typing import NDArray
@@ -40,9 +40,11 @@ def faces_camera(pose: Pose, box: Box, side: BoxSide, marker: MarkerOnSide) -> b
 
 
 def marker_hidden(
-    pose: Pose, box: Box, side: BoxSide, marker: MarkerOnSide, others: Iterable[tuple[Box, Pose]]
+    pose: Pose, box: Box, side: BoxSide, marker: MarkerOnSide, others: Sequence[tuple[Box, Pose]]
 ) -> bool:
     """Whether the whole marker lies hidden behind other objects."""
+    if not others:
+        return False
     x, y = np.meshgrid(_SAMPLES, _SAMPLES)
     grid = np.column_stack([x.ravel(), y.ravel(), np.zeros(x.size)]) * (marker.size_mm + 2 * marker.border_mm)
     points = pose.apply(box.marker_pose(side, marker).apply(grid))
