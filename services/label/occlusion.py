@@ -15,16 +15,21 @@ from numpy.typing import NDArray
 
 from common.geometry import FACES, Box, CameraModel, Pose, hidden
 from common.labels import FaceLabel, FaceName
+from services.label.robust import median
 from services.label.visibility import viewing_angle
 
 Array = NDArray[np.float64]
 Mask = NDArray[np.bool_]
+Depths = NDArray[np.uint16]
+Counts = NDArray[np.int64]
 
 GRID = 16
 """Points sampled along each side of a face."""
 INSET_PX = 4.0
 """A corner is judged a little inside its faces: at the corner itself the depth jumps to what is behind the box."""
 _PATCH = np.array([(x, y) for y in range(-2, 3) for x in range(-2, 3)])
+_HOLE = np.uint16(65535)
+"""Stands for what wasn't measured, so that it is sorted behind all that was."""
 MIN_VALID = 5
 """Of a patch's 25 pixels, for it to say anything."""
 NEARER_MM = 15.0
@@ -138,15 +143,20 @@ class _Sensor:
     def __init__(self, depth: DepthPicture, camera: CameraModel, surface: Array, distance_sigma_mm: float) -> None:
         self._depth, self._camera = depth, camera
         self._offset_mm = 2.0 * distance_sigma_mm
-        measured, values, valid = self._patches(surface)
-        spread = 1.4826 * _median(np.abs(values - measured[:, None]), valid)
-        known = np.isfinite(spread) & (measured > 0)
-        self._noise = float(np.median(spread[known] / measured[known])) if known.any() else 0.0
+        values, count = self._patches(surface)
+        middle = _median(values, count)
+        measured = self._in_mm(middle, count)
+        apart = np.maximum(values, middle[:, None]) - np.minimum(values, middle[:, None])
+        apart[values == _HOLE] = _HOLE
+        spread = 1.4826 * depth.unit_mm * _median(apart, count)
+        known = measured > 0  # not so for NaN
+        self._noise = median(spread[known] / measured[known]) if known.any() else 0.0
         self.surface_covered = self._nearer(measured, surface)
 
     def covers(self, xyz: Array) -> Mask:
         """Before which points (N, 3), camera frame, something is measured."""
-        return self._nearer(self._patches(xyz)[0], xyz)
+        values, count = self._patches(xyz)
+        return self._nearer(self._in_mm(_median(values, count), count), xyz)
 
     def _nearer(self, measured: Array, xyz: Array) -> Mask:
         z = xyz[:, 2]
@@ -154,22 +164,24 @@ class _Sensor:
         with np.errstate(invalid="ignore"):
             return np.asarray(measured < z - slack)
 
-    def _patches(self, xyz: Array) -> tuple[Array, Array, Mask]:
-        """The median (N,) mm of the patch around each point, NaN for holes; its values (N, 25), which are valid."""
+    def _in_mm(self, middle: Depths, count: Counts) -> Array:
+        """The median (N,) mm of patches, NaN where too little of one was measured."""
+        return np.where(count < MIN_VALID, np.nan, middle * self._depth.unit_mm)
+
+    def _patches(self, xyz: Array) -> tuple[Depths, Counts]:
+        """The values (N, 25) around each point, holes as ``_HOLE``, and how many (N,) are none; 0 off the picture."""
         pixels, front = self._camera.project(xyz)
         inside = front & self._camera.contains(pixels)
         height, width = self._depth.values.shape
-        at = np.rint(np.where(inside[:, None], pixels, 0.0)).astype(np.int64)[:, None, :] + _PATCH
-        columns, rows = np.clip(at[..., 0], 0, width - 1), np.clip(at[..., 1], 0, height - 1)
-        values = self._depth.values[rows, columns] * self._depth.unit_mm
-        valid = values > 0
-        median = _median(values, valid)
-        median[~inside | (valid.sum(axis=1) < MIN_VALID)] = np.nan
-        return median, values, valid
+        at = np.rint(np.where(inside[:, None], pixels, 0.0)).astype(np.int64)
+        columns = np.clip(at[:, 0, None] + _PATCH[:, 0], 0, width - 1)
+        rows = np.clip(at[:, 1, None] + _PATCH[:, 1], 0, height - 1)
+        values = self._depth.values.take(rows * width + columns)
+        values[values == 0] = _HOLE
+        return values, np.where(inside, (values != _HOLE).sum(axis=1), 0)
 
 
-def _median(values: Array, valid: Mask) -> Array:
-    """The median of each row's valid values (the lower one of two); inf where none is."""
-    ordered = np.sort(np.where(valid, values, np.inf), axis=1)
-    middle = np.maximum(valid.sum(axis=1) - 1, 0) // 2
-    return np.asarray(ordered[np.arange(len(values)), middle])
+def _median(values: Depths, count: Counts) -> Depths:
+    """The median of the ``count`` (N,) lowest values of each row (N, 25), the lower one of two."""
+    ordered = np.sort(values, axis=1)
+    return np.asarray(ordered[np.arange(len(values)), np.maximum(count - 1, 0) // 2])
