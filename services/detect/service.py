@@ -10,12 +10,13 @@ from __future__ import annotations
 from common import clock
 from common.bus import Poller, Publisher, Subscriber
 from common.markers import family
-from common.messages import MARKERS, CameraState, Detections, FrameAnnounced, Shares
+from common.messages import MARKERS, CameraState, DetectedMarker, Detections, FrameAnnounced, Shares
 from common.service import Context, Report
 from common.service.meters import Percentiles, Rate
 from common.topics import CAMERA, DETECTIONS, FRAME, SHARES
 from services.detect.cameras import Camera
 from services.detect.markers import MarkerDetector, open_detector
+from services.detect.markers.base import Grey
 from services.detect.tracking import Tracker
 
 
@@ -23,7 +24,7 @@ class DetectService:
     """One detect process; several share the cameras by camera, never by frame.
 
     Always the newest frame of a camera, and the cameras in turn: of those that have a frame waiting, the
-    one that was served longest ago is next.
+    one that was served longest ago is next. While none waits, frames that were only followed are searched.
     """
 
     def __init__(self, context: Context) -> None:
@@ -32,6 +33,7 @@ class DetectService:
         self._config = context.rig.config
         self._cameras: dict[str, Camera] = {}
         self._trackers: dict[str, tuple[str, Tracker]] = {}
+        self._to_search: dict[str, Grey] = {}
         self._turn: list[str] = []
         self._shares: Shares | None = None
         self._rate = Rate()
@@ -56,7 +58,7 @@ class DetectService:
     def step(self, timeout_s: float) -> None:
         """One round: the news, then one frame of the camera whose turn it is."""
         waiting = any(camera.ready for camera in self._served())
-        self._poller.wait(0.0 if waiting else timeout_s)
+        self._poller.wait(0.0 if waiting or self._to_search else timeout_s)
         self._listen()
         self._forget_silent()
         camera = next((camera for camera in self._served() if camera.ready), None)
@@ -64,6 +66,9 @@ class DetectService:
             self._turn.remove(camera.name)
             self._turn.append(camera.name)
             self._next_frame(camera)
+        elif self._to_search:
+            name, grey = self._to_search.popitem()
+            self._trackers[name][1].look_around(grey)
 
     def drain(self) -> bool:
         """Nothing is under way between two rounds."""
@@ -148,12 +153,14 @@ class DetectService:
         for camera in self._cameras.values():
             if not self._serves(camera.name):
                 camera.handed_over()
+                self._to_search.pop(camera.name, None)
 
     def _forget_silent(self) -> None:
         now = clock.monotonic_ns()
         for camera in self._cameras.values():
             if camera.state is not None and camera.gone(now):
                 camera.forget()
+                self._to_search.pop(camera.name, None)
                 self._log.info("camera.vanished", camera=camera.name)
 
     # --- frames ---------------------------------------------------------------------------------------
@@ -166,8 +173,7 @@ class DetectService:
         grey = camera.grey(ref)
         if grey is None:
             return
-        detector = self._thorough if camera.patient else self._tracker(camera)
-        markers = tuple(detector.detect(grey))
+        markers = tuple(self._thorough.detect(grey) if camera.patient else self._tracked(camera, grey))
         now = clock.monotonic_ns()
         self._publish(
             camera, Detections(ref=ref, markers=markers, took_ns=now - began, skipped=camera.skipped.as_dict())
@@ -176,6 +182,16 @@ class DetectService:
         self._rate.mark()
         self._took_ns.add(now - began)
         self._latency_ns.add(now - ref.captured_mono_ns)
+
+    def _tracked(self, camera: Camera, grey: Grey) -> list[DetectedMarker]:
+        """The frame's markers; a camera that waits for its labels has the time to be searched in between."""
+        tracker = self._tracker(camera)
+        live = camera.state is not None and not camera.state.paced
+        found = tracker.detect(grey, later=live)
+        self._to_search.pop(camera.name, None)
+        if tracker.owes_search:
+            self._to_search[camera.name] = grey
+        return found
 
     def _tracker(self, camera: Camera) -> Tracker:
         """The camera's own; a new life of the camera begins anew."""

@@ -3,6 +3,9 @@
 Pure state machine around a detector: a full search, then looks at where the known markers must be, predicted with
 constant velocity. A marker that isn't there brings a full search in the same frame; a marker that enters
 the picture is found by the next full search, at most ``SEARCH_EVERY`` frames later.
+
+Of a live camera that search can come after the frame's markers are told (``later``, then ``look_around``): it takes
+several times as long as following, and the frame need not wait for what enters only now.
 """
 
 from __future__ import annotations
@@ -65,23 +68,46 @@ class Tracker:
         self._since_search = SEARCH_EVERY
         self._shape: tuple[int, ...] = ()
 
-    def detect(self, grey: Grey) -> list[DetectedMarker]:
-        """The markers in the next frame (H, W) uint8; a changed size begins anew."""
+    @property
+    def owes_search(self) -> bool:
+        """Whether the last frame was to be searched, but that was left to ``look_around``."""
+        return bool(self._tracks) and self._since_search >= SEARCH_EVERY
+
+    def detect(self, grey: Grey, *, later: bool = False) -> list[DetectedMarker]:
+        """The markers in the next frame (H, W) uint8; a changed size begins anew.
+
+        With ``later`` a frame whose turn it is to be searched is only followed, if that succeeds, and
+        ``look_around`` is to be called with it; where it wasn't, the next frame is searched at once.
+        """
         if grey.shape != self._shape:
             self.reset()
             self._shape = grey.shape
-        found = self._followed(grey)
+        found = self._followed(grey, SEARCH_EVERY + later)
         if found is None:
-            found = self._detector.detect(grey)
-            self.searches += 1
-            self._since_search = 0
+            found = self._search(grey)
         self._tracks = [_Track(one, self._velocity(one)) for one in found]
         return found
 
-    def _followed(self, grey: Grey) -> list[DetectedMarker] | None:
+    def look_around(self, grey: Grey) -> None:
+        """Search the frame that ``detect`` has just followed, for the sake of the next ones."""
+        known = self._tracks
+        self._tracks = []
+        for one in self._search(grey):
+            same = [track for track in known if track.seen.id == one.id]
+            nearest = min(same, key=lambda track: _apart(track.seen, one), default=None)
+            near = nearest is not None and _apart(nearest.seen, one) < SAME_MARKER_SIDES * _side(one)
+            self._tracks.append(_Track(one, nearest.velocity if near and nearest is not None else np.zeros((4, 2))))
+
+    def _search(self, grey: Grey) -> list[DetectedMarker]:
+        found = self._detector.detect(grey)
+        self.searches += 1
+        self._since_search = 0
+        return found
+
+    def _followed(self, grey: Grey, search_every: int) -> list[DetectedMarker] | None:
         """The known markers in this frame; None where it has to be searched."""
         self._since_search += 1
-        if self._follower is None or not self._tracks or self._since_search >= SEARCH_EVERY:
+        if self._follower is None or not self._tracks or self._since_search >= search_every:
             return None
         expected = [track.expected() for track in self._tracks]
         found = [one for one in self._follower.follow(grey, expected) if one is not None]
@@ -92,8 +118,18 @@ class Tracker:
     def _velocity(self, marker: DetectedMarker) -> Array:
         """How the marker's corners moved since the last frame; 0 for one that wasn't known."""
         corners = np.array(marker.corners)
-        side = float(np.linalg.norm(corners - np.roll(corners, 1, axis=0), axis=1).mean())
         before = [np.array(track.seen.corners) for track in self._tracks if track.seen.id == marker.id]
         moved = [corners - known for known in before]
         nearest = min(moved, key=lambda one: float(np.abs(one).max()), default=np.zeros((4, 2)))
-        return nearest if np.abs(nearest).max() < SAME_MARKER_SIDES * side else np.zeros((4, 2))
+        return nearest if np.abs(nearest).max() < SAME_MARKER_SIDES * _side(marker) else np.zeros((4, 2))
+
+
+def _side(marker: DetectedMarker) -> float:
+    """Mean side (px)."""
+    corners = np.array(marker.corners)
+    return float(np.linalg.norm(corners - np.roll(corners, 1, axis=0), axis=1).mean())
+
+
+def _apart(first: DetectedMarker, second: DetectedMarker) -> float:
+    """By how much (px) two markers' corners differ at most."""
+    return float(np.abs(np.array(first.corners) - np.array(second.corners)).max())

@@ -61,6 +61,12 @@ def moving(frames: int) -> Iterator[dict[int, np.ndarray]]:
         }
 
 
+def drifting(frames: int) -> Iterator[dict[int, np.ndarray]]:
+    """Two markers that move so slowly that none is lost."""
+    for t in range(frames):
+        yield {3: square(110 + t, 120, 60), 8: square(360 - t, 250, 50)}
+
+
 def assert_alike(one: list[DetectedMarker], other: list[DetectedMarker], within: float) -> None:
     one, other = (sorted(these, key=lambda m: (m.id, m.corners)) for these in (one, other))
     assert [m.id for m in one] == [m.id for m in other]
@@ -90,6 +96,33 @@ def test_a_marker_that_enters_is_found_within_five_frames() -> None:
             markers = still if number < entered else {**still, 8: square(330, 220, 50)}
             seen.append([m.id for m in tracker.detect(frame(markers, number))])
         assert sorted(seen[-1]) == [3, 8]
+
+
+def test_searching_later_finds_what_enters_for_the_frames_after_and_keeps_pace() -> None:
+    detector = Searches()
+    tracker = Tracker(detector)
+    owed = 0
+    for number, markers in enumerate(drifting(20)):
+        before, entering = detector.count, {} if number < 9 else {11: square(60, 300, 50)}
+        grey = frame({**markers, **entering}, number)
+        found = tracker.detect(grey, later=True)
+        assert {3, 8} <= {m.id for m in found}
+        assert number == 0 or detector.count == before
+        if tracker.owes_search:
+            owed += 1
+            tracker.look_around(grey)
+            assert not tracker.owes_search
+        assert (11 in {m.id for m in found}) is (number > 10)
+    assert owed == 3
+
+
+def test_a_search_that_found_no_time_is_made_up_for_in_the_next_frame() -> None:
+    detector = Searches()
+    tracker = Tracker(detector)
+    for number, markers in enumerate(drifting(SEARCH_EVERY + 2)):
+        tracker.detect(frame(markers, number), later=True)
+        assert tracker.owes_search is (number == SEARCH_EVERY)
+    assert detector.count == 2
 
 
 def test_a_marker_that_jumps_is_found_in_the_same_frame() -> None:
