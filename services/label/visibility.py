@@ -28,6 +28,22 @@ def viewing_angle(pose: Pose, face: FaceName, at: Array) -> float:
     return math.degrees(math.acos(min(max(cosine, -1.0), 1.0)))
 
 
+def facing_side(box: Box, pose: Pose) -> tuple[str, FaceName, float] | None:
+    """Class, face and viewing angle (deg) of the side that faces the camera most; None if none does."""
+    eye = pose.inverse().translation
+    x, y, z = (float(value) for value in eye)
+    square = x * x + y * y + z * z
+    best: tuple[float, str, FaceName] | None = None
+    for side in box.sides:
+        a, b, c = FACES[side.face].normal
+        half, along = box.face_size(side.face)[2] / 2, a * x + b * y + c * z
+        # From the face's centre to the camera, against its normal; plain numbers, since this is asked of every view.
+        cosine = (along - half) / max(math.sqrt(max(square - 2 * half * along + half * half, 0.0)), 1e-12)
+        if cosine > 0.0 and (best is None or cosine > best[0]):
+            best = cosine, side.class_name, side.face
+    return None if best is None else (best[1], best[2], math.degrees(math.acos(min(best[0], 1.0))))
+
+
 def marker_angle(pose: Pose, box: Box, side: BoxSide, marker: MarkerOnSide) -> float:
     """Viewing angle (deg) of a side at the marker's centre."""
     return viewing_angle(pose, side.face, box.marker_pose(side, marker).translation)

@@ -12,6 +12,7 @@ import numpy as np
 
 from common.errors import RefusedError
 from common.geometry import Box, CameraModel
+from services.label.visibility import facing_side
 from tools.export.classes import Naming, naming
 from tools.export.model import Export, Exporter, Shot, Source
 from tools.export.options import Options, PictureWish
@@ -19,7 +20,7 @@ from tools.export.pictures import Change
 from tools.export.select import WORDS, Selected, select
 from tools.export.sessions import read_sources
 from tools.export.split import Parted, part
-from tools.export.targets import facing_side, targets_of
+from tools.export.targets import targets_of
 
 _TRAPS = ("JPEGImages", "images", "labels")
 """Words that Darknet looks for in a picture's path to find its label."""

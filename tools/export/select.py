@@ -14,10 +14,10 @@ from common.errors import RefusedError
 from common.geometry import CameraModel
 from common.labels import ObjectLabel
 from common.quality import blur
+from services.label.visibility import facing_side
 from services.label.windows import clip_window
 from tools.export.model import Source
 from tools.export.options import Filters
-from tools.export.targets import facing_side
 
 _MIN_PATCH = 16
 """Pixels of a window's side below which its blur can't be judged."""

@@ -2,15 +2,13 @@
 
 from __future__ import annotations
 
-import math
-
 import cv2
 import numpy as np
 from numpy.typing import NDArray
 
 from common.geometry import EDGES, FACES, Box, CameraModel, Pose
-from common.labels import FaceName, ObjectLabel, Window
-from services.label.visibility import viewing_angle
+from common.labels import ObjectLabel, Window
+from services.label.visibility import facing_side, viewing_angle
 from services.label.windows import clip_near, clip_window, project_box
 from tools.export.classes import Naming
 from tools.export.model import Source, Target
@@ -47,22 +45,6 @@ def targets_of(
 def _covered(item: ObjectLabel) -> bool:
     """Whether the label says that (nearly) nothing of the object is to be seen."""
     return bool(item.faces) and all(face.visible_share < _MIN_SHARE for face in item.faces)
-
-
-def facing_side(box: Box, pose: Pose) -> tuple[str, FaceName, float] | None:
-    """Class, face and viewing angle (deg) of the side that faces the camera most; None if none does."""
-    eye = pose.inverse().translation
-    x, y, z = (float(value) for value in eye)
-    square = x * x + y * y + z * z
-    best: tuple[float, str, FaceName] | None = None
-    for side in box.sides:
-        a, b, c = FACES[side.face].normal
-        half, along = box.face_size(side.face)[2] / 2, a * x + b * y + c * z
-        # From the face's centre to the camera, against its normal; plain numbers, since this is asked of every view.
-        cosine = (along - half) / max(math.sqrt(max(square - 2 * half * along + half * half, 0.0)), 1e-12)
-        if cosine > 0.0 and (best is None or cosine > best[0]):
-            best = cosine, side.class_name, side.face
-    return None if best is None else (best[1], best[2], math.degrees(math.acos(min(best[0], 1.0))))
 
 
 def _whole(item: ObjectLabel, box: Box, pose: Pose, camera: CameraModel, class_id: int, name: str) -> Target | None:

@@ -45,7 +45,6 @@ class ObjectFacts:
     name: str
     type: str
     class_name: str
-    sides: tuple[str, ...]
     distance_mm: float
     angle_deg: float
     azimuth_deg: float

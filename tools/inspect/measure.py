@@ -20,6 +20,7 @@ from common.markers import Family, family
 from common.quality.blur import blur
 from common.quality.duplicates import perceptual_hash
 from services.detect.markers import MarkerDetector, open_detector
+from services.label.visibility import facing_side
 from tools.inspect.consistency import contradictions, off_px, unknown_objects, window_array
 from tools.inspect.facts import Facts, ObjectFacts, Problem
 from tools.inspect.files import Opened, open_sample
@@ -128,15 +129,13 @@ class Inspector:
                 "off_px": off_px(item, box, pose, camera),
                 "wrong": tuple(contradictions(item, box, pose, camera)),
             }
-        angles = {side.class_name: side.viewing_angle_deg for side in item.sides}
-        main = min(angles, key=lambda name: angles[name], default="")
+        facing = None if box is None else facing_side(box, pose)
         return ObjectFacts(
             name=item.name,
             type=item.type,
-            class_name=main,
-            sides=tuple(angles),
+            class_name="" if facing is None else facing[0],
             distance_mm=item.distance_mm,
-            angle_deg=angles.get(main, float("nan")),
+            angle_deg=float("nan") if facing is None else facing[2],
             azimuth_deg=azimuth,
             elevation_deg=elevation,
             window=window_array(item.window_unclipped),

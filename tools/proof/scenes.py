@@ -22,8 +22,8 @@ from common.geometry import Box, CameraModel
 from common.markers import family
 from common.scene import Rendered, Scene, SceneCamera
 from common.scene.objects import BoxDrawing
+from services.label.visibility import facing_side
 from services.label.windows import clip_window
-from tools.export.targets import facing_side
 
 RIG = Path(__file__).with_name("rig.yaml")
 WIDTH, HEIGHT = 640, 480

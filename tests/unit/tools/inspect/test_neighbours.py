@@ -19,7 +19,6 @@ def sample(number: int, *windows: tuple[str, float]) -> Facts:
             name=name,
             type="box",
             class_name="front",
-            sides=("front",),
             distance_mm=700.0,
             angle_deg=10.0,
             azimuth_deg=0.0,
