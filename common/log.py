@@ -165,10 +165,11 @@ def dropped() -> int:
 
 
 def shutdown(timeout_s: float = _FLUSH_S) -> None:
-    """Write what is queued, for at most ``timeout_s``, and go back to plain stderr; idempotent."""
-    global _writer
+    """Write what is queued, for at most ``timeout_s``, and go back to plain stderr and level info; idempotent."""
+    global _writer, _least
     writer, _writer = _writer, None
     if writer is not None:
+        _least = logging.INFO
         _configure(None, readable=True)
         writer.close(timeout_s)
 

@@ -138,12 +138,9 @@ def _health(source: Source) -> APIRouter:
 
 async def _find(catalog: Catalog, name: str, *, binned: bool) -> tuple[Plain | None, Response]:
     """A sample of the list, which is brought up to date first where it isn't there."""
-    item = catalog.find(name, binned=binned)
-    if item is None:
-        refused = await catalog.refresh()
-        if refused is not None:
-            return None, answered(refused)
-        item = catalog.find(name, binned=binned)
+    item, refused = await catalog.look_up(name, binned=binned)
+    if item is None and refused is not None:
+        return None, answered(refused)
     where = "in the bin" if binned else "in the open session"
     return item, refusal(404, "no_sample", f"there is no such sample {where}")
 

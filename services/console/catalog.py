@@ -83,6 +83,16 @@ class Catalog:
         """A sample by its name, None if there is none."""
         return (self.binned if binned else self.stored).get(name)
 
+    async def look_up(self, name: str, *, binned: bool) -> tuple[Plain | None, Plain | None]:
+        """A sample by its name, after a refresh where it isn't listed; or None and, if there was one, a refusal."""
+        item = self.find(name, binned=binned)
+        if item is not None:
+            return item, None
+        if self.find(name, binned=not binned) is not None:
+            self._wanted = True  # whoever moved it may have had the answer before the store's news came here
+        refused = await self.refresh()
+        return self.find(name, binned=binned), refused
+
     async def _read_all(self) -> Plain | None:
         self._wanted = False
         self._new.clear()

@@ -146,9 +146,11 @@ class Request:
         if self.held and self.last_reason == "no_frame":
             self.last_reason, self.last_message = "store_down", None
         if pending:
+            stopping = self.last_reason == "stopping"
+            when = "when tagmill was stopped" if stopping else f"after {self.order.timeout_s:g} s"
             error = ErrorInfo(
-                code="timeout",
-                message=f"{len(pending)} sample(s) were not durable after {self.order.timeout_s:g} s; "
+                code="stopping" if stopping else "timeout",
+                message=f"{len(pending)} sample(s) were not durable {when}; "
                 "they are kept and the ledger will settle them",
             )
         else:

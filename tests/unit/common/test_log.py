@@ -94,7 +94,7 @@ def test_an_expected_refusal_has_no_traceback_and_a_bug_has_one(lines: Any) -> N
     assert "a bug" in bug["exception"]
 
 
-def test_levels_and_libraries(tmp_path: Path) -> None:
+def test_levels_and_libraries(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     import logging
 
     path = tmp_path / "log"
@@ -103,6 +103,8 @@ def test_levels_and_libraries(tmp_path: Path) -> None:
         log.get().info("quiet")
         logging.getLogger("zmq.auth").warning("said %d", 5)
         log.shutdown()
+    log.get().info("heard again")
+    assert "heard again" in capsys.readouterr().err
     [event] = [json.loads(line) for line in path.read_text().splitlines()]
     assert (event["event"], event["text"], event["logger"]) == ("library.said", "said 5", "zmq.auth")
 

@@ -77,6 +77,20 @@ def test_a_new_sample_is_asked_for_and_moves_need_no_question() -> None:
     assert catalog.version > version
 
 
+def test_a_sample_is_found_where_it_was_moved_to_before_the_news_of_it_come() -> None:
+    store = Store("a")
+    store.binned = ["x"]
+    catalog = Catalog(store.ask)
+    refreshed(catalog)
+    store.binned.remove("x")
+    store.stored.append("x")
+    item, refused = asyncio.run(catalog.look_up("x", binned=False))
+    assert (item, refused) == ({"name": "x", "files": {"rgb": "rgb/rgb_x.png"}}, None)
+    catalog.hear(news(1, "restored", "x"))
+    assert asyncio.run(catalog.look_up("x", binned=True)) == (None, None)
+    assert asyncio.run(catalog.look_up("x", binned=False)) == (item, None)
+
+
 def test_missed_news_another_session_and_an_unknown_sample_make_it_read_anew() -> None:
     store = Store("a", "b")
     catalog = Catalog(store.ask)

@@ -237,6 +237,9 @@ def test_going_down_answers_everybody(bench: Bench) -> None:
     bench.frame(1)
     bench.recorder.finish_all("the stack was stopped")
     assert bench.answers[0].pending == ("s1",)
+    assert bench.answers[0].error is not None
+    assert bench.answers[0].error.code == "stopping"
+    assert "when tagmill was stopped" in bench.answers[0].error.message
     assert not bench.recorder.settled
     bench.end("s1")
     for ledger in list(bench.recorder.ledger_orders()):
