@@ -73,17 +73,20 @@ def start_service(stack: Stack) -> Callable[..., ServiceProcess]:
 
 @pytest.hookimpl(optionalhook=True)
 def pytest_xdist_make_scheduler(config: pytest.Config, log: Any) -> Any:
-    """All browser tests on one worker, since they share a stack; any other test wherever there is room.
+    """Tests that share a stack on one worker: those of tests/browser, those of one class; any other wherever is room.
 
     xdist's own `--dist loadgroup` has no effect with pytest 9.2, which doesn't let it rename tests.
     """
     from xdist.scheduler import LoadScopeScheduling
 
-    class BrowserTogether(LoadScopeScheduling):
+    class Together(LoadScopeScheduling):
         def _split_scope(self, nodeid: str) -> str:
-            return "tests/browser" if nodeid.startswith("tests/browser/") else nodeid
+            if nodeid.startswith("tests/browser/"):
+                return "tests/browser"
+            file, *names = nodeid.split("::")
+            return "::".join((file, *names[:1])) if len(names) > 1 else nodeid
 
-    return BrowserTogether(config, log)
+    return Together(config, log)
 
 
 @pytest.hookimpl(wrapper=True)

@@ -61,7 +61,10 @@ class _Worker(Generic[J]):
 
 
 class Crew(Generic[J, R]):
-    """``workers`` processes that do ``work(job)``. One a thread; nothing here waits, except ``close``.
+    """Up to ``workers`` processes that do ``work(job)``. One a thread; nothing here waits, except ``close``.
+
+    One is started at once, the others when jobs wait for which it has no room (and stay): an idle worker costs as much
+    memory and time to start as a service.
 
     ``work`` and ``prepare`` are module-level functions; ``prepare(*prepared_with)`` runs once in each worker. A job
     whose worker died under it is done again until it has cost ``deaths`` workers; one that takes longer than
@@ -83,11 +86,12 @@ class Crew(Generic[J, R]):
         limit_s: float = 30.0,
     ) -> None:
         self._start_with = (work, prepare, prepared_with)
+        self._most = workers
         self._deaths, self._limit_ns = deaths, int(limit_s * 1e9)
         self._waiting: deque[_Task[J]] = deque()
         self._given_up: list[tuple[str, Failure]] = []
         self.replaced = 0
-        self._workers: list[_Worker[J]] = [self._started() for _ in range(workers)]
+        self._workers: list[_Worker[J]] = [self._started()]
 
     @property
     def sockets(self) -> tuple[int, ...]:
@@ -150,6 +154,9 @@ class Crew(Generic[J, R]):
         while self._waiting:
             free = [worker for worker in self._workers if not worker.over and len(worker.tasks) < _AHEAD]
             if not free:
+                if all(worker.ready for worker in self._workers):
+                    more = min(self._most - len(self._workers), len(self._waiting))
+                    self._workers += [self._started() for _ in range(more)]
                 return
             worker = min(free, key=lambda item: len(item.tasks))
             task = self._waiting.popleft()

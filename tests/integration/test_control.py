@@ -8,6 +8,7 @@ from __future__ import annotations
 import json
 import signal
 from collections.abc import Callable, Iterator
+from contextlib import contextmanager
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -21,6 +22,7 @@ from hypothesis import strategies as st
 from common.bus import CommandClient
 from common.errors import EXIT_NAME_TAKEN
 from common.ids import sample_camera
+from tests.support.hygiene import Place, own_place
 from tests.support.stack import RIG, ServiceProcess, Stack, wait_for, write_rig
 
 pytestmark = pytest.mark.process
@@ -37,6 +39,8 @@ class Up:
     control: ServiceProcess
     label: ServiceProcess
     client: CommandClient
+    seen: int = 0
+    """Orders of earlier tests."""
 
     def ask(self, command: str, **fields: Any) -> dict[str, Any]:
         answer: dict[str, Any] = json.loads(json.dumps(self.client.request({"command": command, **fields}, ANSWER_S)))
@@ -49,7 +53,8 @@ class Up:
 
     def orders(self, kind: str | None = None) -> list[dict[str, Any]]:
         """What the label process was told to do."""
-        return [event for event in self.label.events("order") if kind in (None, event["kind"])]
+        told = self.label.events("order")[self.seen :]
+        return [event for event in told if kind in (None, event["kind"])]
 
     def wait_for_status(self, fits: Callable[[dict[str, Any]], Any], why: str) -> dict[str, Any]:
         def look() -> dict[str, Any] | None:
@@ -59,15 +64,14 @@ class Up:
         return wait_for(look, 30.0, why)
 
 
-@pytest.fixture
-def up(stack: Stack, tmp_path: Path) -> Iterator[Up]:
+@contextmanager
+def control_with_peers(stack: Stack) -> Iterator[Up]:
     """Control, the real store, the scripted label process and its two cameras."""
-    rig = write_rig(tmp_path)
+    rig = write_rig(stack.folder)
     control = stack.start_service("control", rig)
     stack.start_service("store", rig)
     label = stack.start_module("tests.support.scripted_peers", "--rig", str(rig))
-    client = CommandClient(stack.endpoints, ANSWER_S)
-    try:
+    with CommandClient(stack.endpoints, ANSWER_S) as client:
         made = Up(stack, rig, control, label, client)
         control.wait_for_event("service.opened")
         made.wait_for_status(
@@ -78,8 +82,13 @@ def up(stack: Stack, tmp_path: Path) -> Iterator[Up]:
             "two cameras, label and store",
         )
         yield made
-    finally:
-        client.close()
+
+
+@pytest.fixture
+def up(stack: Stack) -> Iterator[Up]:
+    """A stack for one test alone."""
+    with control_with_peers(stack) as made:
+        yield made
 
 
 def raw_socket(up: Up, kind: int) -> zmq.Socket[bytes]:
@@ -94,59 +103,6 @@ def received(made: zmq.Socket[bytes]) -> list[bytes]:
     return made.recv_multipart()
 
 
-def test_ten_lines_of_pyzmq_and_msgpack_are_enough(up: Up) -> None:
-    socket = raw_socket(up, zmq.REQ)
-    socket.send(msgpack.packb({"command": "record", "camera": "cam0", "count": 5}))
-    answer = msgpack.unpackb(received(socket)[0])
-    socket.send(msgpack.packb({"command": "help"}))
-    told = msgpack.unpackb(received(socket)[0])
-    socket.close()
-    assert answer["ok"] is True
-    assert [sample_camera(name) for name in answer["samples"]] == ["cam0"] * 5
-    assert "record" in told["commands"]
-
-
-def test_dealers_are_answered_with_the_envelope_they_sent(up: Up) -> None:
-    socket = raw_socket(up, zmq.DEALER)
-    request = msgpack.packb({"command": "help"})
-    for envelope in ([], [b""], [b"7", b""]):
-        socket.send_multipart([*envelope, request])
-        *came, body = received(socket)
-        assert came == envelope
-        assert msgpack.unpackb(body)["ok"] is True
-    socket.close()
-
-
-def test_garbage_is_answered_and_changes_nothing(up: Up) -> None:
-    socket = raw_socket(up, zmq.DEALER)
-
-    @settings(max_examples=60, deadline=None, suppress_health_check=list(HealthCheck))
-    @given(
-        st.binary(max_size=300)
-        | st.sampled_from([msgpack.packb({"command": "stop"})[:-1], msgpack.packb(["stop"]), b"\xc1", b'{"command"}'])
-        | st.dictionaries(st.text(max_size=6), st.integers() | st.text(max_size=6), max_size=3).map(_packed)
-    )
-    def send(data: bytes) -> None:
-        socket.send_multipart([b"", data])
-        _, body = received(socket)
-        answer = msgpack.unpackb(body)
-        assert answer["ok"] is False
-        assert answer["error"]["message"]
-
-    send()
-    for parts in ([b"x", msgpack.packb({"command": "stop"})], [b"", b"", b""], [b""] * 5):
-        socket.send_multipart(parts)
-    socket.send_multipart([b"", msgpack.packb({"command": "help"})])
-    while not msgpack.unpackb(received(socket)[-1])["ok"]:
-        pass
-    socket.close()
-    assert up.orders() == []
-    status = up.ask("status")
-    assert status["recordings"] == {}
-    assert status["services"]["control"]["restarts"] == 0
-    assert up.ask("record", camera="cam0")["ok"] is True
-
-
 def _packed(fields: dict[str, Any]) -> bytes:
     try:
         data: bytes = msgpack.packb(fields | {"command": "stpo"})
@@ -155,58 +111,177 @@ def _packed(fields: dict[str, Any]) -> bytes:
     return data
 
 
-def test_an_oversized_request_costs_its_sender_the_connection_only(up: Up) -> None:
-    socket = raw_socket(up, zmq.DEALER)
-    socket.send_multipart([b"", msgpack.packb({"command": "stop", "x": "y" * 70_000})])
-    socket.send_multipart([b"", msgpack.packb({"command": "stop", "x": "y" * 65_000})])
-    _, body = received(socket)
-    socket.close()
-    assert msgpack.unpackb(body)["error"]["code"] == "unknown_field", "within the limit, after a reconnection"
-    assert up.ask("help")["ok"] is True
-    assert up.orders() == []
+@pytest.fixture(scope="class")
+def shared(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Up]:
+    """A stack for a class of tests."""
+    with pytest.MonkeyPatch.context() as patch, own_place(patch) as place:
+        stack = Stack(place, tmp_path_factory.mktemp("control"))
+        try:
+            with control_with_peers(stack) as made:
+                yield made
+        finally:
+            stubborn = stack.close()
+            print(stack.logs())  # shown if the last test or this end has failed
+    assert stubborn == []
 
 
-def test_two_hundred_clients_at_once_get_one_answer_each(up: Up) -> None:
-    sockets = [raw_socket(up, zmq.DEALER) for _ in range(200)]
-    for number, socket in enumerate(sockets):
-        socket.send(msgpack.packb({"command": "record", "camera": "cam0" if number % 4 else "cam9"}))
-    answers = [msgpack.unpackb(received(socket)[-1]) for socket in sockets]
-    more = [socket for socket in sockets if socket.poll(0)]
-    for socket in sockets:
+class TestOneControlForAll:
+    """What leaves control as it was: all on one stack, whose start takes longer than any of them."""
+
+    @pytest.fixture(autouse=True)
+    def place(self, shared: Up) -> Place:
+        """Instead of a place for each test: what is left behind is looked for once, at the end."""
+        return shared.stack.place
+
+    @pytest.fixture
+    def up(self, shared: Up) -> Up:
+        """The shared stack; `orders` are those of this test."""
+        shared.seen = len(shared.label.events("order"))
+        return shared
+
+    def test_garbage_is_answered_and_changes_nothing(self, up: Up) -> None:
+        socket = raw_socket(up, zmq.DEALER)
+
+        @settings(max_examples=60, deadline=None, suppress_health_check=list(HealthCheck))
+        @given(
+            st.binary(max_size=300)
+            | st.sampled_from(
+                [msgpack.packb({"command": "stop"})[:-1], msgpack.packb(["stop"]), b"\xc1", b'{"command"}']
+            )
+            | st.dictionaries(st.text(max_size=6), st.integers() | st.text(max_size=6), max_size=3).map(_packed)
+        )
+        def send(data: bytes) -> None:
+            socket.send_multipart([b"", data])
+            _, body = received(socket)
+            answer = msgpack.unpackb(body)
+            assert answer["ok"] is False
+            assert answer["error"]["message"]
+
+        send()
+        for parts in ([b"x", msgpack.packb({"command": "stop"})], [b"", b"", b""], [b""] * 5):
+            socket.send_multipart(parts)
+        socket.send_multipart([b"", msgpack.packb({"command": "help"})])
+        while not msgpack.unpackb(received(socket)[-1])["ok"]:
+            pass
         socket.close()
-    assert more == []
-    samples = [name for answer in answers if answer["ok"] for name in answer["samples"]]
-    assert len(samples) == len(set(samples)) == 150
-    refused = [answer["error"]["code"] for answer in answers if not answer["ok"]]
-    assert refused == ["no_camera"] * 50
+        assert up.orders() == []
+        status = up.ask("status")
+        assert status["recordings"] == {}
+        assert status["services"]["control"]["restarts"] == 0
+        assert up.ask("record", camera="cam0")["ok"] is True
 
+    def test_ten_lines_of_pyzmq_and_msgpack_are_enough(self, up: Up) -> None:
+        socket = raw_socket(up, zmq.REQ)
+        socket.send(msgpack.packb({"command": "record", "camera": "cam0", "count": 5}))
+        answer = msgpack.unpackb(received(socket)[0])
+        socket.send(msgpack.packb({"command": "help"}))
+        told = msgpack.unpackb(received(socket)[0])
+        socket.close()
+        assert answer["ok"] is True
+        assert [sample_camera(name) for name in answer["samples"]] == ["cam0"] * 5
+        assert "record" in told["commands"]
 
-def test_a_client_that_went_away_is_dropped(up: Up) -> None:
-    socket = raw_socket(up, zmq.DEALER)
-    socket.send(msgpack.packb({"command": "record", "camera": "cam0", "background": True, "timeout_s": 0.2}))
-    wait_for(lambda: up.orders("record"), why="the order")
-    socket.close()
-    up.wait_for_status(
-        lambda status: status["services"]["control"]["dropped"].get("client_gone"), "the lost client to be counted"
-    )
-    assert up.ask("record", camera="cam0")["ok"] is True
+    def test_dealers_are_answered_with_the_envelope_they_sent(self, up: Up) -> None:
+        socket = raw_socket(up, zmq.DEALER)
+        request = msgpack.packb({"command": "help"})
+        for envelope in ([], [b""], [b"7", b""]):
+            socket.send_multipart([*envelope, request])
+            *came, body = received(socket)
+            assert came == envelope
+            assert msgpack.unpackb(body)["ok"] is True
+        socket.close()
 
+    def test_an_oversized_request_costs_its_sender_the_connection_only(self, up: Up) -> None:
+        socket = raw_socket(up, zmq.DEALER)
+        socket.send_multipart([b"", msgpack.packb({"command": "stop", "x": "y" * 70_000})])
+        socket.send_multipart([b"", msgpack.packb({"command": "stop", "x": "y" * 65_000})])
+        _, body = received(socket)
+        socket.close()
+        assert msgpack.unpackb(body)["error"]["code"] == "unknown_field", "within the limit, after a reconnection"
+        assert up.ask("help")["ok"] is True
+        assert up.orders() == []
 
-def test_all_cameras_give_a_sample_and_the_one_that_fails_is_named(up: Up) -> None:
-    answer = up.ask("record", camera="all", count=2)
-    assert answer["ok"] is False
-    assert answer["error"]["code"] == "no_object"
-    assert answer["error"]["message"].startswith("cam1: ")
-    assert [sample_camera(name) for name in answer["samples"]] == ["cam0", "cam0"]
-    assert list(answer["cameras"]) == ["cam1"]
-    orders = up.orders("record")
-    assert len({order["recording"] for order in orders}) == len({order["since_mono_ns"] for order in orders}) == 1
+    def test_two_hundred_clients_at_once_get_one_answer_each(self, up: Up) -> None:
+        sockets = [raw_socket(up, zmq.DEALER) for _ in range(200)]
+        for number, socket in enumerate(sockets):
+            socket.send(msgpack.packb({"command": "record", "camera": "cam0" if number % 4 else "cam9"}))
+        answers = [msgpack.unpackb(received(socket)[-1]) for socket in sockets]
+        more = [socket for socket in sockets if socket.poll(0)]
+        for socket in sockets:
+            socket.close()
+        assert more == []
+        samples = [name for answer in answers if answer["ok"] for name in answer["samples"]]
+        assert len(samples) == len(set(samples)) == 150
+        refused = [answer["error"]["code"] for answer in answers if not answer["ok"]]
+        assert refused == ["no_camera"] * 50
 
+    def test_a_client_that_went_away_is_dropped(self, up: Up) -> None:
+        socket = raw_socket(up, zmq.DEALER)
+        socket.send(msgpack.packb({"command": "record", "camera": "cam0", "background": True, "timeout_s": 0.2}))
+        wait_for(lambda: up.orders("record"), why="the order")
+        socket.close()
+        up.wait_for_status(
+            lambda status: status["services"]["control"]["dropped"].get("client_gone"), "the lost client to be counted"
+        )
+        assert up.ask("record", camera="cam0")["ok"] is True
 
-def test_silence_of_a_label_process_is_answered_by_control(up: Up) -> None:
-    answer = up.ask("record", camera="cam0", background=True, timeout_s=0.1)
-    assert answer["error"]["code"] == "timeout"
-    assert answer["samples"] == answer["pending"] == []
+    def test_all_cameras_give_a_sample_and_the_one_that_fails_is_named(self, up: Up) -> None:
+        answer = up.ask("record", camera="all", count=2)
+        assert answer["ok"] is False
+        assert answer["error"]["code"] == "no_object"
+        assert answer["error"]["message"].startswith("cam1: ")
+        assert [sample_camera(name) for name in answer["samples"]] == ["cam0", "cam0"]
+        assert list(answer["cameras"]) == ["cam1"]
+        orders = up.orders("record")
+        assert len({order["recording"] for order in orders}) == len({order["since_mono_ns"] for order in orders}) == 1
+
+    def test_silence_of_a_label_process_is_answered_by_control(self, up: Up) -> None:
+        answer = up.ask("record", camera="cam0", background=True, timeout_s=0.1)
+        assert answer["error"]["code"] == "timeout"
+        assert answer["samples"] == answer["pending"] == []
+
+    def test_a_recording_runs_from_start_to_its_ledger(self, up: Up) -> None:
+        started = up.ask("start", camera="all", every_s=2)
+        assert started == {"ok": True, "recording": started["recording"], "cameras": ["cam0", "cam1"], "missing": []}
+        recording = started["recording"]
+        status = up.wait_for_status(
+            lambda status: len(status["recordings"].get(recording, {}).get("cameras", ())) == 2, "the recording"
+        )
+        assert status["recordings"][recording]["phase"] == "running"
+        assert up.refused("session", name="other")[0] == "wrong_state"
+        assert up.ask("ledger", recording=recording)["ledger"]["phase"] == "running"
+        (ledger,) = up.ask("stop")["ledgers"]
+        assert ledger["phase"] == "ended"
+        assert {name: account["recorded"] for name, account in ledger["cameras"].items()} == {"cam0": 4, "cam1": 4}
+        assert up.ask("ledger", recording=recording)["ledger"]["phase"] == "ended"
+        assert up.ask("stop") == {"ok": True, "ledgers": []}
+        code, message = up.refused("stop", recording="rec-unknown")
+        assert (code, "none is running" in message) == ("no_recording", True)
+
+    def test_a_stop_right_after_the_start_finds_the_recording(self, up: Up) -> None:
+        up.wait_for_status(lambda status: status["settled"], "control to know the stack")
+        for _ in range(5):
+            recording = up.ask("start", camera="cam0")["recording"]
+            assert recording in up.ask("status")["recordings"]
+            (ledger,) = up.ask("stop")["ledgers"]
+            assert (ledger["spec"]["recording"], ledger["phase"]) == (recording, "ended")
+        assert up.ask("preview", camera="all") == {"ok": True, "cameras": ["cam0", "cam1"], "lease_s": 5.0}
+
+    def test_a_start_that_one_camera_refuses_is_taken_back(self, up: Up) -> None:
+        code, message = up.refused("start", camera="all", every_s=99)
+        assert (code, "cam1" in message, "no recording was begun" in message) == ("wrong_state", True, True)
+        assert [order["camera"] for order in up.orders("stop")] == ["cam0"]
+        assert up.refused("start", camera="cam7")[0] == "no_camera"
+
+    def test_a_second_control_is_refused(self, up: Up) -> None:
+        second = up.stack.start_service("control", up.rig, "--name-wait-s", "0")
+        assert second.wait() == EXIT_NAME_TAKEN
+        assert up.ask("record", camera="cam0")["ok"] is True
+
+    def test_a_session_is_opened_by_the_store(self, up: Up) -> None:
+        assert up.ask("session", name="tuesday")["session"] == "tuesday"
+        assert up.ask("status")["session"] == "tuesday"
+        assert (up.rig.parent / "dataset" / "tuesday" / "session.json").is_file()
 
 
 def test_a_stopped_label_process_is_never_silence(up: Up) -> None:
@@ -231,42 +306,6 @@ def test_a_start_that_is_not_answered_is_taken_back_when_the_label_process_goes_
     assert up.orders("stop")[0]["recording"] == begun["spec"]["recording"]
 
 
-def test_a_recording_runs_from_start_to_its_ledger(up: Up) -> None:
-    started = up.ask("start", camera="all", every_s=2)
-    assert started == {"ok": True, "recording": started["recording"], "cameras": ["cam0", "cam1"], "missing": []}
-    recording = started["recording"]
-    status = up.wait_for_status(
-        lambda status: len(status["recordings"].get(recording, {}).get("cameras", ())) == 2, "the recording"
-    )
-    assert status["recordings"][recording]["phase"] == "running"
-    assert up.refused("session", name="other")[0] == "wrong_state"
-    assert up.ask("ledger", recording=recording)["ledger"]["phase"] == "running"
-    (ledger,) = up.ask("stop")["ledgers"]
-    assert ledger["phase"] == "ended"
-    assert {name: account["recorded"] for name, account in ledger["cameras"].items()} == {"cam0": 4, "cam1": 4}
-    assert up.ask("ledger", recording=recording)["ledger"]["phase"] == "ended"
-    assert up.ask("stop") == {"ok": True, "ledgers": []}
-    code, message = up.refused("stop", recording="rec-unknown")
-    assert (code, "none is running" in message) == ("no_recording", True)
-
-
-def test_a_stop_right_after_the_start_finds_the_recording(up: Up) -> None:
-    up.wait_for_status(lambda status: status["settled"], "control to know the stack")
-    for _ in range(5):
-        recording = up.ask("start", camera="cam0")["recording"]
-        assert recording in up.ask("status")["recordings"]
-        (ledger,) = up.ask("stop")["ledgers"]
-        assert (ledger["spec"]["recording"], ledger["phase"]) == (recording, "ended")
-    assert up.ask("preview", camera="all") == {"ok": True, "cameras": ["cam0", "cam1"], "lease_s": 5.0}
-
-
-def test_a_start_that_one_camera_refuses_is_taken_back(up: Up) -> None:
-    code, message = up.refused("start", camera="all", every_s=99)
-    assert (code, "cam1" in message, "no recording was begun" in message) == ("wrong_state", True, True)
-    assert [order["camera"] for order in up.orders("stop")] == ["cam0"]
-    assert up.refused("start", camera="cam7")[0] == "no_camera"
-
-
 def test_a_killed_control_comes_back_and_knows_what_runs(up: Up) -> None:
     recording = up.ask("start", camera="cam0")["recording"]
     up.wait_for_status(lambda status: recording in status["recordings"], "the recording")
@@ -277,18 +316,6 @@ def test_a_killed_control_comes_back_and_knows_what_runs(up: Up) -> None:
     assert (ledger["spec"]["recording"], ledger["phase"]) == (recording, "ended")
     assert up.ask("record", camera="cam0")["ok"] is True
     assert up.ask("status")["shares"]["label"] == {"cam0": 0, "cam1": 0}
-
-
-def test_a_second_control_is_refused(up: Up) -> None:
-    second = up.stack.start_service("control", up.rig, "--name-wait-s", "0")
-    assert second.wait() == EXIT_NAME_TAKEN
-    assert up.ask("record", camera="cam0")["ok"] is True
-
-
-def test_a_session_is_opened_by_the_store(up: Up) -> None:
-    assert up.ask("session", name="tuesday")["session"] == "tuesday"
-    assert up.ask("status")["session"] == "tuesday"
-    assert (up.rig.parent / "dataset" / "tuesday" / "session.json").is_file()
 
 
 def test_reload_takes_over_a_good_file_and_refuses_others(up: Up) -> None:

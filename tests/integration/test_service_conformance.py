@@ -89,62 +89,7 @@ def start_bus(stack: Stack, subject: Subject, rig: Path) -> None:
         stack.start_module("tests.support.bus_only", "--rig", str(rig))
 
 
-def test_alone_it_starts_and_sigterm_ends_it(stack: Stack, subject: Subject, rig: Path) -> None:
-    process = start(stack, subject, rig)
-    process.wait_for_event("service.opened")
-    assert process.stop(signal.SIGTERM, LIMIT_S) == 0
-    assert process.events("service.drain_cut") == [], "idle, it has nothing to drain"
-    assert "Traceback" not in process.log()
-    assert list(stack.endpoints.run_dir.iterdir()) == []
-
-
-def test_before_the_bus_it_waits_and_is_heard_with_it(stack: Stack, subject: Subject, rig: Path) -> None:
-    listener = stack.listen()
-    process = start(stack, subject, rig)
-    process.wait_for_event("service.opened")
-    start_bus(stack, subject, rig)
-    state = listener.wait_for_state(subject.id)
-    assert (state.pid, state.camera) == (process.pid, "cam0" if subject.name == "capture" else None)
-    assert process.stop(signal.SIGINT, LIMIT_S) == 0
-    assert "Traceback" not in process.log()
-
-
-def test_stopped_and_continued_it_goes_on(stack: Stack, subject: Subject, rig: Path) -> None:
-    listener = stack.listen()
-    start_bus(stack, subject, rig)
-    process = start(stack, subject, rig)
-    boot = listener.wait_for_state(subject.id).boot
-    process.send_signal(signal.SIGSTOP)
-    wait_for(lambda: psutil.Process(process.pid).status() == psutil.STATUS_STOPPED, 5, "the stop")
-    process.send_signal(signal.SIGCONT)
-    listener.subscriber.receive()
-    assert listener.wait_for_state(subject.id).boot == boot
-
-
-def test_garbage_changes_nothing(stack: Stack, subject: Subject, rig: Path, raw: zmq.Socket[bytes]) -> None:
-    listener = stack.listen()
-    start_bus(stack, subject, rig)
-    process = start(stack, subject, rig)
-    boot = listener.wait_for_state(subject.id).boot
-    _wait_until_heard(raw, listener)
-    for topic in TOPICS:
-        wire = topic.key(*(("cam0", "x")[: len(topic.keys)]))
-        for data in GARBAGE:
-            raw.send_multipart([wire, data])
-            raw.send_multipart([wire + b"/more", data])
-        raw.send_multipart([wire])
-        raw.send_multipart([wire, b"a", b"b"])
-    for name in subject.sockets:
-        _send_garbage_to(stack.endpoints.ipc(name))
-    _wait_until_heard(raw, listener)
-    listener.heard.clear()
-    state = listener.wait_for_state(subject.id)
-    assert (state.boot, state.pid) == (boot, process.pid)
-    assert process.stop(deadline_s=LIMIT_S) == 0
-    assert "Traceback" not in process.log()
-
-
-def test_a_second_one_is_refused_and_after_kill_9_the_next_takes_over(
+def test_alone_it_starts_and_sigterm_ends_it_and_kill_9_makes_room_for_the_next(
     stack: Stack, subject: Subject, rig: Path
 ) -> None:
     first = start(stack, subject, rig)
@@ -157,8 +102,44 @@ def test_a_second_one_is_refused_and_after_kill_9_the_next_takes_over(
     first.kill()
     third = start(stack, subject, rig)
     third.wait_for_event("service.opened")
-    assert third.stop(deadline_s=LIMIT_S) == 0
+    assert third.stop(signal.SIGTERM, LIMIT_S) == 0
+    assert third.events("service.drain_cut") == [], "idle, it has nothing to drain"
+    assert "Traceback" not in third.log()
     assert list(stack.endpoints.run_dir.iterdir()) == []
+
+
+def test_it_waits_for_the_bus_and_outlives_a_stop_and_garbage(
+    stack: Stack, subject: Subject, rig: Path, raw: zmq.Socket[bytes]
+) -> None:
+    listener = stack.listen()
+    process = start(stack, subject, rig)
+    process.wait_for_event("service.opened")
+    start_bus(stack, subject, rig)
+    state = listener.wait_for_state(subject.id)
+    assert (state.pid, state.camera) == (process.pid, "cam0" if subject.name == "capture" else None)
+
+    process.send_signal(signal.SIGSTOP)
+    wait_for(lambda: psutil.Process(process.pid).status() == psutil.STATUS_STOPPED, 5, "the stop")
+    process.send_signal(signal.SIGCONT)
+    listener.subscriber.receive()
+    assert listener.wait_for_state(subject.id).boot == state.boot
+
+    _wait_until_heard(raw, listener)
+    for topic in TOPICS:
+        wire = topic.key(*(("cam0", "x")[: len(topic.keys)]))
+        for data in GARBAGE:
+            raw.send_multipart([wire, data])
+            raw.send_multipart([wire + b"/more", data])
+        raw.send_multipart([wire])
+        raw.send_multipart([wire, b"a", b"b"])
+    for name in subject.sockets:
+        _send_garbage_to(stack.endpoints.ipc(name))
+    _wait_until_heard(raw, listener)
+    listener.heard.clear()
+    after = listener.wait_for_state(subject.id)
+    assert (after.boot, after.pid) == (state.boot, process.pid)
+    assert process.stop(signal.SIGINT, LIMIT_S) == 0
+    assert "Traceback" not in process.log()
 
 
 def test_a_bad_rig_is_told_and_ends_with_78(stack: Stack, subject: Subject, tmp_path: Path) -> None:

@@ -49,6 +49,18 @@ def test_each_job_has_one_result(crew: Crew[str | int, int]) -> None:
     assert (crew.busy, crew.replaced, list(crew.finished())) == (0, 0, [])
 
 
+def test_further_workers_start_when_jobs_wait_and_stay(crew: Crew[str | int, int]) -> None:
+    (first,) = crew.pids
+    crew.submit("job", 1)
+    results(crew, 1)
+    assert crew.pids == (first,), "one is enough"
+    for number in range(8):
+        crew.submit(f"job-{number}", number)
+    results(crew, 8)
+    assert len(crew.pids) == 2
+    assert crew.pids[0] == first
+
+
 def test_what_is_urgent_goes_before_all_that_waits(place: Place) -> None:
     with closing(Crew(crew_jobs.work, crew_jobs.prepare, (1000,), workers=1)) as crew:
         for number in range(5):
@@ -103,9 +115,11 @@ def test_a_worker_that_hangs_is_killed(place: Place) -> None:
 
 
 def test_an_idle_worker_that_is_killed_is_replaced(crew: Crew[str | int, int]) -> None:
-    for number in range(4):
+    crew.submit("job", 1)
+    results(crew, 1)
+    for number in range(8):
         crew.submit(str(number), "pid")
-    results(crew, 4)
+    results(crew, 8)
     before = crew.pids
     os.kill(before[0], signal.SIGKILL)
     wait_for(lambda: list(crew.finished()) == [] and crew.replaced and len(crew.pids) == 2, ENOUGH_S, "a new worker")
@@ -128,8 +142,10 @@ def test_close_ends_busy_and_idle_workers_twice(place: Place) -> None:
     crew: Crew[str | int, int] = Crew(crew_jobs.work, crew_jobs.prepare, (0,), workers=2)
     crew.submit("one", 1)
     results(crew, 1)
-    crew.submit("stuck", "hang")
+    for number in range(4):
+        crew.submit(f"stuck-{number}", "hang")
     pids = crew.pids
+    assert len(pids) == 2
     crew.close()
     crew.close()
     assert not any(psutil.pid_exists(pid) for pid in pids)
