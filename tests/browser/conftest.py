@@ -25,8 +25,8 @@ objects:
 pose: {ambiguous: keep}
 record: {incomplete: keep}
 cameras:
-  cam0: {driver: synthetic, width: 640, height: 360, fps: 8, depth: true, seed: 3, prerendered: 24}
-  bench: {driver: synthetic, width: 640, height: 480, fps: 8, board: board.yaml, speed: 2.5, focal_px: 460}
+  cam0: {driver: synthetic, width: 640, height: 360, fps: 5, depth: true, seed: 3, prerendered: 24}
+  bench: {driver: synthetic, width: 640, height: 480, fps: 6, board: board.yaml, speed: 2.5, focal_px: 460}
 """
 BOARD = Board(kind="charuco", columns=8, rows=6, square_mm=30, marker_mm=22, family="5x5_250")
 """What `bench` is shown."""

@@ -34,11 +34,20 @@ def test_the_picture_moves(live: PageUnderTest) -> None:
 
 def hold_with_a_label(page: PageUnderTest) -> dict:
     """Hold a picture still that has an object with at least one marker in its label."""
-    found = f"document.querySelector('[data-view={BIG}]').label?.objects?.[0]?.sides?.length"
-    page.wait(found)
-    page.press("h")
-    page.page.wait_for_selector(".trouble.held")
-    return page.page.evaluate(f"document.querySelector('[data-view={BIG}]').label")
+    view = f"document.querySelector('[data-view={BIG}]')"
+    found = f"{view}.label?.objects?.[0]?.sides?.length"
+
+    def held() -> dict | None:
+        page.wait(found)
+        page.press("h")
+        page.page.wait_for_selector(".trouble.held")
+        if page.page.evaluate(found):
+            return dict(page.page.evaluate(f"{view}.label"))
+        page.press("h")  # a picture without an object came between
+        page.page.wait_for_selector(".trouble.held", state="detached")
+        return None
+
+    return wait_for(held, why="a held picture with a label")
 
 
 def test_the_label_is_that_of_the_picture_it_is_drawn_on(live: PageUnderTest) -> None:

@@ -36,7 +36,7 @@ objects:
       right: {marker: 2, marker_size_mm: 150, border_mm: 15}
       back:  {marker: 3, marker_size_mm: 150, border_mm: 15}
 cameras:
-  cam0: {driver: synthetic, width: 640, height: 360, fps: 10, burn_frame: true}
+  cam0: {driver: synthetic, width: 640, height: 360, fps: 6, burn_frame: true}
 ring: {slots: 12, samples: 4}
 """
 WAIT_S = 40.0

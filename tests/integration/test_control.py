@@ -165,7 +165,7 @@ class TestOneControlForAll:
             pass
         socket.close()
         assert up.orders() == []
-        status = up.ask("status")
+        status = up.wait_for_status(lambda status: "control" in status["services"], "control to have heard itself")
         assert status["recordings"] == {}
         assert status["services"]["control"]["restarts"] == 0
         assert up.ask("record", camera="cam0")["ok"] is True

@@ -166,7 +166,7 @@ RIG = f"""\
 dataset: {{root: ./dataset, session: journey}}
 {OBJECT}
 cameras:
-  cam0: {{driver: synthetic, width: 640, height: 360, fps: 10, prerendered: 8}}
+  cam0: {{driver: synthetic, width: 320, height: 240, fps: 6, prerendered: 6}}
 ring: {{slots: 6, samples: 8}}
 """
 SECOND = "cameras:\n  cam1: {driver: synthetic, width: 320, height: 240, fps: 5, seed: 2, prerendered: 4}\n"
@@ -220,7 +220,7 @@ def test_a_second_camera_is_added_recorded_from_and_removed_while_the_rest_runs_
     assert [reader.label(name).camera.name for name in one["samples"]] == ["cam1", "cam1"]
     assert sorted(reader.label(name).camera.name for name in both["samples"]) == ["cam0", "cam1"]
     assert {name: cameras[-1].camera.width for name, cameras in reader.session.cameras.items()} == {
-        "cam0": 640,
+        "cam0": 320,
         "cam1": 320,
     }
     check_session(session)
@@ -238,7 +238,7 @@ KEYS = {
 def bench_load(*options: str) -> dict[str, object]:
     """The load test's document; it has a prefix of its own, of which nothing may stay."""
     environment = {key: value for key, value in os.environ.items() if not key.startswith("TAGMILL_")}
-    words = ("tools", "bench", "load", "--size", "640x360", "--json", *options)
+    words = ("tools", "bench", "load", "--size", "320x240", "--json", *options)
     pid, done = run_module(*words, timeout_s=300, env=environment)
     assert done.returncode == 0, done.stdout[-4000:] + done.stderr[-4000:]
     prefix = f"load-{pid}"
@@ -249,7 +249,7 @@ def bench_load(*options: str) -> dict[str, object]:
 
 
 def test_the_load_test_gives_figures_that_fit_together() -> None:
-    load = bench_load("--cameras", "2", "--fps", "15", "--seconds", "4", "--stall-store")
+    load = bench_load("--cameras", "2", "--fps", "8", "--seconds", "3", "--stall-store")
     assert set(load) == {"seconds", "cameras", "processes", "records"}
     cameras, processes = load["cameras"], load["processes"]
     assert isinstance(cameras, dict)
@@ -260,7 +260,7 @@ def test_the_load_test_gives_figures_that_fit_together() -> None:
         assert camera["offered"] > 0, name
         # States come once a second and each tells the count at that moment: one frame of play at each end.
         assert camera["captured"] <= camera["offered"] + 2
-        assert 0 < camera["detected"] <= 15 * 4 * 1.5
+        assert 0 < camera["detected"] <= 8 * 3 * 1.5
         assert 0 < camera["labelled"] <= camera["detected"] + 1
         assert 0 < camera["latency_p50_ms"] <= camera["latency_p99_ms"]
         assert camera["ring_overruns"] == camera["skipped"].get("detect: frame_lost", 0)

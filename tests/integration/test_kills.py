@@ -24,7 +24,7 @@ RIG = f"""\
 dataset: {{root: ./dataset, session: kills}}
 {NO_PAGE}
 cameras:
-  cam0: {{driver: synthetic, width: 640, height: 360, fps: 10, prerendered: 8}}
+  cam0: {{driver: synthetic, width: 320, height: 240, fps: 6, prerendered: 6}}
 ring: {{slots: 12, samples: 16}}
 """
 

@@ -143,7 +143,7 @@ def check_recovery(stack: SupervisedStack, session: Path, orders: Orders) -> Non
 
 
 def test_two_cameras_beside_a_slow_label_process_and_a_stopped_store(tmp_path: Path) -> None:
-    check_never_stalls(tmp_path, (640, 360), 30, 8.0, "store", **SLOW_LABEL)
+    check_never_stalls(tmp_path, (320, 240), 15, 6.0, "store", **SLOW_LABEL)
 
 
 @pytest.mark.long
