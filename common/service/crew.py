@@ -20,6 +20,7 @@ from typing import Generic, TypeVar
 
 from common import clock
 from common.log import get
+from common.service.memory import keep_all
 from common.service.parent import die_with_parent
 
 J = TypeVar("J")
@@ -216,6 +217,7 @@ def _serve(
     if not die_with_parent(parent, signal.SIGKILL):
         os._exit(1)
     prepare(*prepared_with)
+    keep_all()
     with suppress(EOFError, ConnectionError):  # the service has closed the pipe: nothing more to do
         pipe.send(None)
         while True:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import ctypes
+import gc
 
 _M_TRIM_THRESHOLD, _M_MMAP_THRESHOLD = -1, -3
 """glibc's malloc.h."""
@@ -22,3 +23,12 @@ def keep_freed_memory() -> bool:
     except (OSError, AttributeError):
         return False
     return bool(mallopt(_M_MMAP_THRESHOLD, _LARGEST) and mallopt(_M_TRIM_THRESHOLD, _KEPT))
+
+
+def keep_all() -> None:
+    """Leave everything that has been made so far out of the search for garbage, and begin to search.
+
+    What a service imported and opened stays until its end; a search through all of it takes longer than a frame may.
+    """
+    gc.freeze()
+    gc.enable()

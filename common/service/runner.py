@@ -20,6 +20,7 @@ from common.service.arguments import parse, service_id
 from common.service.context import Context, Report, Service
 from common.service.heartbeat import Heartbeat
 from common.service.levels import LevelWatch
+from common.service.memory import keep_all
 from common.service.parent import die_with_parent
 from common.service.signals import DRAIN_S, StopRequest
 from common.service.states import Phase, StateMachine
@@ -182,6 +183,7 @@ class _Run:
         self._heartbeat.beat(Phase.STARTING, Report())
         self._service = self._factory(self._context)
         self._service.open()
+        keep_all()
         self._context.log.info("service.opened", boot=self._context.boot, pid=os.getpid())
 
     def _give_back(self) -> None:

@@ -2,7 +2,7 @@
 
 import sys
 
-from common import early_signals, one_thread  # noqa: F401 - hold signals and count threads from here on
+from common import early_gc, early_signals, one_thread  # noqa: F401 - first: garbage, signals, threads
 from common.errors import ConfigError
 from common.service import Context, Service, main
 

@@ -250,7 +250,7 @@ def bench_load(*options: str) -> dict[str, object]:
 
 def test_the_load_test_gives_figures_that_fit_together() -> None:
     load = bench_load("--cameras", "2", "--fps", "8", "--seconds", "3", "--stall-store")
-    assert set(load) == {"seconds", "cameras", "processes", "records"}
+    assert set(load) == {"seconds", "cameras", "processes", "records", "hops"}
     cameras, processes = load["cameras"], load["processes"]
     assert isinstance(cameras, dict)
     assert isinstance(processes, dict)

@@ -154,8 +154,14 @@ def test_a_killed_worker_costs_nothing(stack: Stack, label_side: StoreSide) -> N
 
 def test_workers_end_with_a_killed_store(stack: Stack, label_side: StoreSide) -> None:
     store = start(stack, TAGMILL_STORE_DELAY_MS="60000")
-    label_side.store(1)
-    workers = wait_for(lambda: len(found := workers_of(store)) == 2 and found, why="two workers")
+    for frame in range(1, 4):
+        label_side.store(frame)  # one is written, one is next, and the third calls for another worker
+
+    def two() -> list[psutil.Process] | None:
+        label_side.receive()
+        return found if len(found := workers_of(store)) == 2 else None
+
+    workers = wait_for(two, why="two workers")
     wait_for(lambda: all(worker.nice() > 0 for worker in workers), why="niced workers")
     store.kill()
     assert psutil.wait_procs(workers, timeout=10)[1] == []

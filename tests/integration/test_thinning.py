@@ -23,14 +23,14 @@ def write_rig(folder: Path) -> Path:
     path.write_text(
         f"dataset: {{root: ./dataset, session: slow}}\n{NO_PAGE}\nring: {{slots: 60, samples: {SLOTS}}}\n"
         "workers: {finish: 1, store: 1}\ncameras:\n"
-        "  cam0: {driver: synthetic, width: 320, height: 180, fps: 30, prerendered: 8, burn_frame: true}\n"
+        "  cam0: {driver: synthetic, width: 320, height: 180, fps: 12, prerendered: 8, burn_frame: true}\n"
     )
     return path
 
 
 def test_a_slow_store_thins_a_recording_and_never_a_single_request(tmp_path: Path) -> None:
     session = tmp_path / "dataset" / "slow"
-    with supervised(write_rig(tmp_path), "cam0", TAGMILL_STORE_DELAY_MS="100") as stack:
+    with supervised(write_rig(tmp_path), "cam0", TAGMILL_STORE_DELAY_MS="200") as stack:
         recording = stack.ask(command="start", camera="cam0")["recording"]
 
         def thinned() -> bool:

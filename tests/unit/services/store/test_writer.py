@@ -125,7 +125,8 @@ def test_a_ring_that_is_gone_and_a_slot_that_never_was(make_loop: Callable[..., 
 
 def test_closing_while_a_worker_writes_does_not_wait_for_it(make_loop: Callable[..., Loop]) -> None:
     loop = make_loop(60.0)
-    loop.submit(1)
+    for frame in range(1, 4):
+        loop.submit(frame)
     loop.run_until(lambda: len(multiprocessing.active_children()) == 2)
     loop.close()
     assert multiprocessing.active_children() == []
