@@ -151,29 +151,29 @@ def test_a_bad_rig_is_told_and_ends_with_78(stack: Stack, subject: Subject, tmp_
     assert "Traceback" not in process.log()
 
 
-def test_all_together_they_are_in_the_status_and_outlive_a_kill_of_control(stack: Stack, rig: Path) -> None:
+def test_all_together_they_idle_are_in_the_status_and_outlive_a_kill_of_control(stack: Stack, rig: Path) -> None:
     listener = stack.listen()
     control, others = SUBJECTS[-1], SUBJECTS[:-1]
-    first = start(stack, control, rig)
-    for other in others:
-        start(stack, other, rig)
+    processes = {subject.id: start(stack, subject, rig) for subject in (control, *others)}
     boots = {other.id: listener.wait_for_state(other.id).boot for other in others}
-    _wait_for_status(stack.endpoints, {subject.id for subject in SUBJECTS})
-    first.kill()
+    _wait_for_status(stack.endpoints, set(processes))
+
+    processes["capture.cam0"].send_signal(signal.SIGSTOP)  # without pictures there is nothing to do
+    _idle(listener, {name: process for name, process in processes.items() if name != "capture.cam0"})
+    processes["capture.cam0"].send_signal(signal.SIGCONT)
+
+    processes[control.id].kill()
     start(stack, control, rig)
     for other in others:
         assert listener.wait_for_state(other.id).boot == boots[other.id], "nobody restarts because control did"
     _wait_for_status(stack.endpoints, {subject.id for subject in SUBJECTS})
 
 
-def test_idle_they_use_almost_no_cpu(stack: Stack, rig: Path) -> None:
-    listener = stack.listen()
-    idle = [subject for subject in SUBJECTS if subject.name != "capture"]
-    processes = {subject.id: start(stack, subject, rig) for subject in idle}
-    for subject in idle:
-        listener.wait_for_state(subject.id)
+def _idle(listener: Listener, processes: dict[str, ServiceProcess]) -> None:
+    """They use almost no CPU over five heartbeats of each."""
     began, before = time.monotonic(), {name: process.cpu_s() for name, process in processes.items()}
     beats: dict[str, int] = dict.fromkeys(processes, 0)
+    listener.subscriber.receive()
 
     def five_each(received: object) -> bool:
         state = received.message  # type: ignore[attr-defined]
