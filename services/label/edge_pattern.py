@@ -78,7 +78,7 @@ class Pattern:
         picture. It matters where edges meet; its slopes are left out.
         """
         if max(float(blur_u.max()), float(blur_v.max())) < _NARROW:
-            return self._near_at(u, v, blur_u, blur_v, skew)
+            return self._near_at(np.stack([u, v]), np.stack([blur_u, blur_v]), skew)
         step_u, slope_u, widen_u = self._blurred(u, blur_u)
         step_v, slope_v, widen_v = self._blurred(v, blur_v)
         rows = step_v @ self._steps
@@ -93,19 +93,19 @@ class Pattern:
             by_log_blur=np.einsum("ij,ij->i", rows[:, 1:], widen_u) + np.einsum("ij,ij->i", columns[:, 1:], widen_v),
         )
 
-    def _near_at(self, u: Floats, v: Floats, blur_u: Floats, blur_v: Floats, skew: Floats | None) -> Values:
-        """The same, from the nearest upright and the nearest level edge of each point alone."""
-        column, row = (np.clip(np.rint(at), 0.0, float(self.cells)) for at in (u, v))
-        distance_u, distance_v = (u - column) / blur_u, (v - row) / blur_v
-        (step_u, bell_u), (step_v, bell_v) = _step(distance_u), _step(distance_v)
-        crossing = (row * (self.cells + 1) + column).astype(np.intp)
-        before, right, down, both = np.take(self._crossings, crossing, axis=1)
-        over_u, over_v = right + both * step_v, down + both * step_u
-        value = before + right * step_u + over_v * step_v
-        widen_u, widen_v = -distance_u * bell_u, -distance_v * bell_v
+    def _near_at(self, at: Floats, blur: Floats, skew: Floats | None) -> Values:
+        """The same for points (2, N), from the nearest upright and the nearest level edge of each alone."""
+        edge = np.minimum(np.maximum(np.rint(at), 0.0), np.float32(self.cells))
+        distance = (at - edge) / blur
+        step, bell = _step(distance)
+        crossing = (edge[1] * (self.cells + 1) + edge[0]).astype(np.intp)
+        before, right, down, both = self._crossings[:, crossing]
+        over_u, over_v = right + both * step[1], down + both * step[0]
+        value = before + right * step[0] + over_v * step[1]
+        widen, slope = -distance * bell, bell / blur
         if skew is not None:
-            value += skew * both * (bell_u * bell_v + 0.5 * skew * widen_u * widen_v)
-        return Values(value, over_u * bell_u / blur_u, over_v * bell_v / blur_v, over_u * widen_u + over_v * widen_v)
+            value += skew * both * (bell[0] * bell[1] + 0.5 * skew * widen[0] * widen[1])
+        return Values(value, over_u * slope[0], over_v * slope[1], over_u * widen[0] + over_v * widen[1])
 
     def _skewed(self, skew: Floats, bell_u: Floats, bell_v: Floats, widen_u: Floats, widen_v: Floats) -> Floats:
         """What correlated blurs add: the first two terms of the tetrachoric series (Pearson 1900)."""

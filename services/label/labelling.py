@@ -11,7 +11,6 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 from typing import TYPE_CHECKING
 
-import cv2
 import numpy as np
 from numpy.typing import NDArray
 
@@ -151,23 +150,22 @@ class Labeller:
         depth: DepthPicture | None,
     ) -> tuple[Labelled, list[Posed]]:
         sorted_ = sort_markers(markers, self.boxes)
-        grey = None if bgr is None else _grey(bgr)
         posed: dict[str, Posed] = {}
         out = [LeftOut(marker=seen.id, reason="unknown_marker", corners=seen.corners) for seen in sorted_.unknown]
         for visible in sorted_.objects:
             box = visible.box
-            refined = visible if grey is None else self._refined(visible, grey, camera)
+            refined = visible if bgr is None else self._refined(visible, bgr, camera)
             found, reasons = self._pose(refined, camera, around.previous.get(box.name))
             out += reasons
             if found is not None:
-                bar = quick_uncertainty if grey is None else uncertainty
+                bar = quick_uncertainty if bgr is None else uncertainty
                 posed[box.name] = Posed(box, found.pose, found, bar=bar(box, found, camera))
             out += _undetected(visible, None if found is None else found.pose, camera)
         out += [not_detected(marker, box) for box in sorted_.unseen for _, marker in box.markers()]
-        if grey is not None:
-            posed |= self._recovered(posed, out, around, grey, camera)
+        if bgr is not None:
+            posed |= self._recovered(posed, out, around, bgr, camera)
         ordered = [posed[box.name] for box in self.boxes if box.name in posed]
-        seen_of = what_is_seen(ordered, camera, depth) if grey is not None else [None] * len(ordered)
+        seen_of = what_is_seen(ordered, camera, depth) if bgr is not None else [None] * len(ordered)
         labels = (
             object_label(id_, item, camera, seen) for id_, (item, seen) in enumerate(zip(ordered, seen_of, strict=True))
         )
@@ -176,7 +174,7 @@ class Labeller:
         return Labelled(tuple(labels), tuple(out), self._missing(posed, out, around, camera)), ordered
 
     def _recovered(
-        self, posed: Mapping[str, Posed], out: Sequence[LeftOut], around: Around, grey: Picture, camera: CameraModel
+        self, posed: Mapping[str, Posed], out: Sequence[LeftOut], around: Around, bgr: Picture, camera: CameraModel
     ) -> dict[str, Posed]:
         """Objects that their detected markers gave no pose, but that were seen just before (and after)."""
         boxes = {box.name: box for box in self.boxes if box.name not in posed}
@@ -186,7 +184,7 @@ class Labeller:
             box = boxes.get(item.name)
             if box is None:
                 continue
-            again = tracked(box, item, grey, camera, self._family, self._options.ambiguous_px, detected)
+            again = tracked(box, item, bgr, camera, self._family, self._options.ambiguous_px, detected)
             again = again or interpolated(box, item, camera)
             others = [(other.box, other.pose) for other in posed.values()]
             if again is not None and in_view(box, again.pose, camera, others):
@@ -229,9 +227,9 @@ class Labeller:
         out += [_contradicting(marker, box, found.pose, camera) for marker in found.contradicting]
         return found, out + [left_out(marker, "bad_pose", box) for marker in found.unsound]
 
-    def _refined(self, visible: VisibleObject, grey: Picture, camera: CameraModel) -> VisibleObject:
+    def _refined(self, visible: VisibleObject, bgr: Picture, camera: CameraModel) -> VisibleObject:
         def better(marker: SeenMarker) -> SeenMarker:
-            found = refine(grey, marker.seen, self._family, camera)
+            found = refine(bgr, marker.seen, self._family, camera)
             if not found.converged:
                 return marker if found.doubt_px is None else doubted(marker, found.doubt_px)
             exact = DetectedMarker(id=marker.seen.id, corners=found.corners, kind=found.kind)
@@ -263,7 +261,3 @@ def _contradicting(marker: SeenMarker, box: Box, pose: Pose, camera: CameraModel
     pixels, front = camera.project(pose.apply(box.marker_corners(marker.side, marker.marker)))
     off = float(np.sqrt(((pixels - marker.corners) ** 2).sum(axis=1).mean())) if front.all() else None
     return left_out(marker, "contradicts", box).model_copy(update={"residual_px": off})
-
-
-def _grey(picture: Picture) -> Picture:
-    return picture if picture.ndim == 2 else np.asarray(cv2.cvtColor(picture, cv2.COLOR_BGR2GRAY), dtype=np.uint8)

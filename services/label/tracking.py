@@ -38,7 +38,7 @@ def interpolated(box: Box, expected: Expected, camera: CameraModel) -> Posed | N
 def tracked(
     box: Box,
     expected: Expected,
-    grey: Picture,
+    picture: Picture,
     camera: CameraModel,
     family: Family,
     ambiguous_px: float,
@@ -54,7 +54,7 @@ def tracked(
         start = None if marker.id in detected else _where(box, side, marker, guess, camera)
         if start is None:
             continue
-        found = refine(grey, DetectedMarker(id=marker.id, corners=start, kind="predicted"), family, camera)
+        found = refine(picture, DetectedMarker(id=marker.id, corners=start, kind="predicted"), family, camera)
         if found.converged and found.residual <= MAX_RESIDUAL:
             exact = DetectedMarker(id=marker.id, corners=found.corners, kind=found.kind)
             seen.append(SeenMarker(side, marker, exact, found.covariance))
