@@ -93,12 +93,15 @@ def _filled(task: _Task, crop: Crop, surface: Surface | None) -> Picture:
     to_pixel = shift if surface is None else shift @ surface.to_pixel
     if surface is None or surface.outline is None:
         return _one(task, task.sources, to_pixel)
-    layers = _layers(surface, surface.outline, crop)
-    last = len(layers) - 1
-    if float(layers[0].min()) > 0.99:
+    before, left = _peeled(surface.nearer, np.ones(task.hole.shape, dtype=np.float32), crop)
+    (own,), left = _peeled([surface.outline], left, crop)
+    if float(own.min()) > 0.99:
         return _one(task, task.sources, to_pixel)
-    if float(layers[0][task.hole].min()) > 0.98:
-        return _one(task, _inside(task, layers[0]), to_pixel)
+    if float(own[task.hole].min()) > 0.98:
+        return _one(task, _inside(task, own), to_pixel)
+    beside, left = _peeled(surface.beside, left, crop)
+    layers = [own, *before, *beside, left]
+    last = len(layers) - 1
     total = np.zeros(task.bgr.shape, dtype=np.float32)
     for number, share in enumerate(layers):
         if float(share[task.hole].max()) > 0.02:
@@ -119,20 +122,16 @@ def _inside(task: _Task, share: Floats) -> Mask:
     return inner if cv2.countNonZero(inner.view(np.uint8)) > _ENOUGH else area
 
 
-def _layers(surface: Surface, outline: Array, crop: Crop) -> list[Floats]:
-    """By how much (0..1) each pixel of a crop shows the marker's side, then each other surface, then what is behind."""
-    left = np.ones((crop.bottom - crop.top, crop.right - crop.left), dtype=np.float32)
-    before = []
-    for other in surface.nearer:
-        before.append(left * _coverage(other, crop))
-        left = left - before[-1]
-    own = left * _coverage(outline, crop)
-    left = left - own
-    beside = []
-    for other in surface.beside:
-        beside.append(left * _coverage(other, crop))
-        left = left - beside[-1]
-    return [own, *before, *beside, left]
+def _peeled(outlines: Sequence[Array], left: Floats, crop: Crop) -> tuple[list[Floats], Floats]:
+    """By how much (0..1) each pixel of a crop shows each of the outlines, the first one foremost; and what is behind.
+
+    ``left``: by how much it shows any of this.
+    """
+    layers = []
+    for outline in outlines:
+        layers.append(left * _coverage(outline, crop))
+        left = left - layers[-1]
+    return layers, left
 
 
 def _apart(area: Mask) -> Mask:

@@ -42,10 +42,11 @@ def grain(bgr: Picture, sources: Mask, size: tuple[int, int], seed: int) -> Floa
             # A quarter of the blocks, which lie side by side: one copy for all of them.
             rows, columns = (canvas.shape[0] - y) // _BLOCK, (canvas.shape[1] - x) // _WINDOW.shape[1]
             chosen = places[random.integers(0, len(places), rows * columns)]
-            tiles = blocks[chosen[:, 0], chosen[:, 1]] * _WINDOW
-            laid = tiles.reshape(rows, columns, *_WINDOW.shape).swapaxes(1, 2)
+            tiles = blocks[chosen[:, 0], chosen[:, 1]]
+            tiles *= _WINDOW
             part = canvas[y : y + rows * _BLOCK, x : x + columns * _WINDOW.shape[1]]
-            part += laid.reshape(part.shape)
+            places_of_tiles = part.reshape(rows, _BLOCK, columns, -1)  # a view
+            places_of_tiles += tiles.reshape(rows, columns, *_WINDOW.shape).swapaxes(1, 2)
     return canvas.reshape(len(canvas), -1, 3)[half : half + height, half : half + width]
 
 

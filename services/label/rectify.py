@@ -17,6 +17,8 @@ _AROUND = 0.2
 """How far the neighbourhood reaches beyond the hole, as a share of the hole, on each side."""
 _LEAST_AROUND = 14.0
 _MOST_CELLS = 224
+_WHOLE = 4
+"""Grid points come in such numbers, so that the ground's cells are whole ones."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -86,7 +88,7 @@ def _grid(low: Array, high: Array, scale: Array, to_pixel: Array) -> Grid:
     """``scale``: pixels to a unit of the plane along each axis."""
     extent = (high - low) * scale
     around = np.maximum(_AROUND * extent, _LEAST_AROUND)
-    cells = np.clip(np.ceil(extent + 2 * around), 8, _MOST_CELLS).astype(int)
+    cells = np.clip(np.ceil((extent + 2 * around) / _WHOLE) * _WHOLE, 2 * _WHOLE, _MOST_CELLS).astype(int)
     step = (extent + 2 * around) / scale / cells
     start = low - around / scale + step / 2
     to_plane = np.array([[step[0], 0, start[0]], [0, step[1], start[1]], [0, 0, 1.0]])
