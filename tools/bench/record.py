@@ -83,6 +83,11 @@ class Recorded:
     processes: dict[str, Usage]
     checked: int
 
+    def cpu_ms(self) -> dict[str, float]:
+        """CPU time a sample by service, its workers and all around the steps included."""
+        each_ms = 10 * self.seconds / max(self.recorded, 1)
+        return {name: usage.cpu_percent * each_ms for name, usage in self.processes.items()}
+
 
 @dataclass
 class Script:

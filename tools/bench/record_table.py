@@ -41,6 +41,7 @@ def print_record(result: Result, seconds: float) -> None:
             soft_wrap=True,
         )
     _steps(result)
+    _services(result)
     _CONSOLE.print(f"Fill: {result.fill}, the script's: {result.script_fill}. Pictures: {result.picture_format}")
 
 
@@ -100,3 +101,15 @@ def _steps(result: Result) -> None:
             for step in STEPS
         ],
     )
+
+
+def _services(result: Result) -> None:
+    """What all processes took, the steps and what is around them."""
+    measured = [item.cpu_ms() for item in (result.camera, *(result.fastest or [])[-1:]) if item is not None]
+    titles = ["camera"] * (result.camera is not None) + ["fastest"] * bool(result.fastest)
+    if not measured:
+        return
+    rows = [[name, *(f"{cpu[name]:.1f}" for cpu in measured)] for name in measured[0]]
+    rows.append(["all", *(f"{sum(cpu.values()):.1f}" for cpu in measured)])
+    _CONSOLE.print()
+    print_table(_CONSOLE, "CPU ms a sample", ("service, with its workers", *titles), rows)

@@ -13,8 +13,10 @@ from common.config import load_rig
 from common.config.models import SyntheticOptions
 from services.capture.cameras.synthetic import SyntheticCamera
 from tools.bench import plain_recorder
-from tools.bench.record import _needed
+from tools.bench.processes import Usage
+from tools.bench.record import Recorded, Result, _needed
 from tools.bench.record_rig import CAMERA, render, save_for_script, write_rig
+from tools.bench.record_table import print_record
 
 
 @pytest.fixture(scope="module")
@@ -58,3 +60,14 @@ def test_the_script_erases_both_markers_and_knows_where_the_box_is(folder: Path)
 def test_room_is_asked_for_what_is_recorded() -> None:
     assert _needed("camera", 300) > 300 * 30 * 2_000_000
     assert _needed("both", 10) == _needed("camera", 10) + _needed("fastest", 10)
+
+
+def test_the_cost_of_a_sample_is_told_by_service(capsys: pytest.CaptureFixture[str]) -> None:
+    usages = {"label.0": Usage(90.0, 100.0, 3), "store": Usage(30.0, 100.0, 3)}
+    numbers = {"captured": 300, "refused": {}, "dropped": {}, "samples_per_s": 30.0, "megabytes_per_s": 60.0}
+    recorded = Recorded(seconds=10.0, recorded=300, steps_ms={}, processes=usages, checked=0, **numbers)
+    assert recorded.cpu_ms() == pytest.approx({"label.0": 30.0, "store": 10.0})
+    print_record(Result("plane", "telea", "png", camera=recorded), 10.0)
+    printed = capsys.readouterr().out
+    assert "service, with its workers" in printed
+    assert "40.0" in printed.split("Fill")[0]
