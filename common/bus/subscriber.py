@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator
 from dataclasses import dataclass
 
 import zmq
@@ -18,6 +17,11 @@ from common.topics import PREVIEW, Topic, topic_of
 _LOG = log.get()
 _MAX_DRAIN = 1000
 """Messages taken in one call, so that a flood can't keep a reader in its drain."""
+_MOST_ROUTES = 1000
+"""Topics remembered: whoever floods the bus with names must not make a reader grow."""
+
+_Route = tuple[Topic, tuple[str, ...]]
+_Row = tuple[bytes, _Route, bytes]
 
 
 @dataclass(frozen=True, slots=True)
@@ -51,6 +55,7 @@ class Subscriber:
         self.stale: dict[str, int] = {}
         self._endpoints = endpoints
         self._wanted: set[bytes] = set()
+        self._routes: dict[bytes, _Route] = {}
         self._last: dict[bytes, tuple[str, int]] = {}
         self._bus: Socket | None = _connect(endpoints.subscribe, BUS_QUEUE)
         self._previews: Socket | None = None
@@ -70,6 +75,7 @@ class Subscriber:
         wire = topic.key(*keys)
         if wire not in self._wanted:
             self._wanted.add(wire)
+            self._routes.clear()
             self._lane(topic).setsockopt(zmq.SUBSCRIBE, wire)
 
     def unsubscribe(self, topic: Topic, *keys: str) -> None:
@@ -77,6 +83,7 @@ class Subscriber:
         wire = topic.key(*keys)
         if wire in self._wanted:
             self._wanted.remove(wire)
+            self._routes.clear()
             self._lane(topic).setsockopt(zmq.UNSUBSCRIBE, wire)
 
     def receive(self, max_age_s: float | None = None) -> list[Received]:
@@ -85,26 +92,18 @@ class Subscriber:
         Of a ``latest`` topic only the newest of each full key. Messages older than ``max_age_s`` are dropped
         and counted in ``stale``.
         """
-        found: list[Received] = []
-        newest: dict[bytes, list[tuple[int, bytes]]] = {}
-        order: list[tuple[int, Received]] = []
-        for position, (wire, topic, data) in enumerate(self._arrived()):
-            if topic.delivery == "latest":
-                newest.setdefault(wire, []).append((position, data))
-            elif (received := self._decoded(wire, topic, data)) is not None:
-                self._count_missed(wire, topic, received.stamp)
-                order.append((position, received))
-        for wire, stack in newest.items():
-            chosen = self._newest_valid(wire, stack)
-            if chosen is not None:
-                order.append(chosen)
-        order.sort(key=lambda item: item[0])
-        for _, received in order:
-            if max_age_s is not None and received.age_ns > max_age_s * 1e9:
+        rows = self._arrived()
+        # Nearly always there is one message: then nothing is newer, and nothing has to be put in order.
+        found = self._all_valid(rows) if len(rows) < 2 else self._newest_and_every(rows)
+        if max_age_s is None:
+            return found
+        fresh = []
+        for received in found:
+            if received.age_ns > max_age_s * 1e9:
                 _add(self.stale, received.topic.name)
             else:
-                found.append(received)
-        return found
+                fresh.append(received)
+        return fresh
 
     def close(self) -> None:
         """Close at once; idempotent."""
@@ -112,40 +111,67 @@ class Subscriber:
             made.close(linger=0)
         self._bus = self._previews = None
 
-    def _arrived(self) -> Iterator[tuple[bytes, Topic, bytes]]:
+    def _all_valid(self, rows: list[_Row]) -> list[Received]:
+        found = []
+        for wire, route, data in rows:
+            received = self._decoded(route, data)
+            if received is not None:
+                self._count_missed(wire, received)
+                found.append(received)
+        return found
+
+    def _newest_and_every(self, rows: list[_Row]) -> list[Received]:
+        newest: dict[bytes, list[tuple[int, _Row]]] = {}
+        order: list[tuple[int, Received]] = []
+        for position, row in enumerate(rows):
+            if row[1][0].delivery == "latest":
+                newest.setdefault(row[0], []).append((position, row))
+            else:
+                order += ((position, received) for received in self._all_valid([row]))
+        order += (chosen for stack in newest.values() if (chosen := self._newest_valid(stack)) is not None)
+        order.sort(key=lambda item: item[0])
+        return [received for _, received in order]
+
+    def _arrived(self) -> list[_Row]:
+        rows = []
         for made in self.sockets:
             for parts in drain(made, _MAX_DRAIN):
-                if (row := self._checked(parts)) is not None:
-                    yield row
+                if len(parts) != 2:
+                    self._count_bad("framing", f"{len(parts)} parts instead of topic and message")
+                    continue
+                wire, data = parts
+                route = self._routes.get(wire) or self._route(wire)
+                if route is not None:
+                    rows.append((wire, route, data))
+        return rows
 
-    def _checked(self, parts: list[bytes]) -> tuple[bytes, Topic, bytes] | None:
-        if len(parts) != 2:
-            self._count_bad("framing", f"{len(parts)} parts instead of topic and message")
-            return None
-        wire, data = parts
+    def _route(self, wire: bytes) -> _Route | None:
+        """Topic and keys of a topic as it came, kept for the next message; None for what isn't wanted or isn't one."""
         topic = topic_of(wire)
         if topic is None or not has_valid_keys(topic, wire):
             self._count_bad("topic", f"no such topic: {wire[:80]!r}")
             return None
         # ZeroMQ matches prefixes: a subscription to camera/cam1 also brings camera/cam10.
-        if wire in self._wanted or any(want.endswith(b"/") and wire.startswith(want) for want in self._wanted):
-            return wire, topic, data
-        return None
+        if wire not in self._wanted and not any(want.endswith(b"/") and wire.startswith(want) for want in self._wanted):
+            return None
+        route = topic, tuple(part.decode("ascii") for part in wire.split(b"/")[1:])
+        if len(self._routes) < _MOST_ROUTES:
+            self._routes[wire] = route
+        return route
 
-    def _newest_valid(self, wire: bytes, stack: list[tuple[int, bytes]]) -> tuple[int, Received] | None:
-        topic = topic_of(wire)
-        assert topic is not None
+    def _newest_valid(self, stack: list[tuple[int, _Row]]) -> tuple[int, Received] | None:
         while stack:
-            position, data = stack.pop()
-            received = self._decoded(wire, topic, data)
+            position, (wire, route, data) = stack.pop()
+            received = self._decoded(route, data)
             if received is not None:
                 if stack:
-                    _add(self.superseded, topic.name, len(stack))
-                self._count_missed(wire, topic, received.stamp, passed_over=len(stack))
+                    _add(self.superseded, route[0].name, len(stack))
+                self._count_missed(wire, received, passed_over=len(stack))
                 return position, received
         return None
 
-    def _decoded(self, wire: bytes, topic: Topic, data: bytes) -> Received | None:
+    def _decoded(self, route: _Route, data: bytes) -> Received | None:
+        topic, keys = route
         try:
             message = decode(topic.message, data)
         except CodecError as error:
@@ -154,10 +180,10 @@ class Subscriber:
         if message.stamp is None:
             self._count_bad(f"message:{topic.name}", "no stamp")
             return None
-        keys = tuple(part.decode("ascii") for part in wire.split(b"/")[1:])
         return Received(topic, keys, message, message.stamp, clock.monotonic_ns())
 
-    def _count_missed(self, wire: bytes, topic: Topic, stamp: Stamp, passed_over: int = 0) -> None:
+    def _count_missed(self, wire: bytes, received: Received, passed_over: int = 0) -> None:
+        topic, stamp = received.topic, received.stamp
         boot, seq = self._last.get(wire, ("", 0))
         gap = stamp.seq - seq - 1 - passed_over
         if boot == stamp.boot and gap > 0:

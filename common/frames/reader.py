@@ -26,6 +26,7 @@ class FrameReader:
         buffer = self._segment.buffer
         self._begin, self._end = self.layout.control(buffer)
         self._header = header(buffer)
+        self._slots: list[Pictures | None] = [None] * self.layout.slots
 
     @property
     def name(self) -> str:
@@ -54,6 +55,7 @@ class FrameReader:
         if self._segment.closed:
             return
         del self._begin, self._end, self._header
+        self._slots = []
         self._segment.close()
 
     def __enter__(self) -> Self:
@@ -72,7 +74,10 @@ class FrameReader:
         # The order matters: a writer sets begin first and end last.
         if number < 1 or int(self._end[slot]) != number or int(self._begin[slot]) != number:
             raise self._lost(number)
-        return self.layout.pictures(self._segment.buffer, slot)
+        pictures = self._slots[slot]
+        if pictures is None:
+            pictures = self._slots[slot] = self.layout.pictures(self._segment.buffer, slot)
+        return pictures
 
     def _check_still_there(self, number: int) -> None:
         self._open()

@@ -57,6 +57,7 @@ class Announcer:
         self._name = unopened.name
         self._guard = threading.Lock()
         self._description = Description(unopened, fps)
+        self._opened = False
         self._ring = ""
         self._phase: CameraPhase = "opening"
         self._captured = 0
@@ -72,6 +73,11 @@ class Announcer:
     def captured(self) -> int:
         """The count of the newest captured frame; previews don't count."""
         return self._captured
+
+    @property
+    def unpaced(self) -> bool:
+        """Whether the camera was opened and doesn't wait for its labels: then nobody here needs them."""
+        return self._opened and not self._description.paced
 
     @property
     def phase(self) -> CameraPhase:
@@ -107,7 +113,7 @@ class Announcer:
             if description.warnings != self._description.warnings:
                 now = clock.wall_ns()
                 self._warned = tuple(Warned(wall_ns=now, code="camera", message=text) for text in description.warnings)
-            self._description = description
+            self._description, self._opened = description, True
             self._ring = ring
             self._publish_state()
 
@@ -124,10 +130,10 @@ class Announcer:
             if not ref.preview:
                 self._captured = ref.count
                 self._rate.mark()
+            self._publisher.publish(FRAME, (self._name,), FrameAnnounced(ref=ref))
             if truth is not None:
                 told = Truth(camera=self._name, boot=self._boot, frame=ref.frame, objects=truth)
                 self._publisher.publish(TRUTH, (self._name,), told)
-            self._publisher.publish(FRAME, (self._name,), FrameAnnounced(ref=ref))
 
     def lose(self, reason: str, error: str | None = None, *, count: int = 1) -> None:
         """Count something that was lost; told with the next state."""

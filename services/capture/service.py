@@ -1,6 +1,6 @@
 """The capture service: one camera, its ring, its announcements.
 
-Consumes RECORDING (a file camera plays when one begins) and LABELS (a paced one waits for them).
+Consumes RECORDING (a file camera plays when one begins) and LABELS (a paced one waits for them; others soon don't ask).
 Produces FRAME, TRUTH and CAMERA. The states of the camera are in ``announcer.NEXT_PHASES``.
 """
 
@@ -75,6 +75,8 @@ class CaptureService:
         if self._grabber.failure is not None:
             raise self._grabber.failure
         self._grabber.watchdog.look()
+        if self._announcer.unpaced:
+            self._subscriber.unsubscribe(LABELS, self._name)
         self._poller.wait(timeout_s)
         for received in self._subscriber.receive(max_age_s=STALE_S):
             if isinstance(received.message, Labels):

@@ -486,6 +486,7 @@ def test_a_paced_file_plays_from_frame_0_for_each_recording_and_loses_nothing(
     write_video(tmp_path / "clip.avi", 20)
     rigged.run(player(rig_of(f"{{driver: files, path: {source}, pace: consumer}}")))
     assert rigged.state("waiting").paced
+    assert not rigged.announcer.unpaced
     shown = rigged.frame(preview=True)
     assert (shown.count, rigged.announcer.captured) == (0, 0)
     assert rigged.frame(preview=True).frame == shown.frame + 1, "repeated, for those who come late"
@@ -517,9 +518,11 @@ def test_one_that_begins_at_start_plays_at_once_and_only_once(
     rigged: Rigged, rig_of: Callable[[str], Rig], tmp_path: Path
 ) -> None:
     write_pictures(tmp_path / "photos", 3)
+    assert not rigged.announcer.unpaced, "nobody knows before it is opened"
     rigged.run(player(rig_of("{driver: files, path: photos, fps: 200, begin: at_start}")))
     state = rigged.state("ended")
     assert (state.captured, state.played_for) == (3, None)
+    assert rigged.announcer.unpaced
     rigged.cues.on_recording(recording("one"))
     assert not rigged.cues.cut()
     assert rigged.announcer.phase == "ended"
