@@ -128,6 +128,7 @@ class _FromLibraries(logging.Handler):
 
 _writer: QueueWriter | None = None
 _least = logging.INFO
+_service: str | None = None
 
 
 def setup(service_id: str, level: Level = "info", stream: Any = None) -> QueueWriter:
@@ -135,8 +136,9 @@ def setup(service_id: str, level: Level = "info", stream: Any = None) -> QueueWr
 
     May be called again; the returned writer counts what was dropped. Everything is flushed at exit, within 1 s.
     """
-    global _writer
+    global _writer, _service
     shutdown()
+    _service = service_id
     target = stream or sys.stderr
     _writer = QueueWriter(target.fileno(), service=service_id)
     _configure(_writer, readable=target.isatty(), service=service_id)
@@ -154,6 +156,16 @@ def set_level(level: Level) -> None:
     logging.getLogger().setLevel(logging.WARNING if _least > logging.DEBUG else logging.INFO)
 
 
+def level() -> Level:
+    """What is logged now: this and above."""
+    return cast("Level", logging.getLevelName(_least).lower())
+
+
+def service() -> str | None:
+    """Whose log this process writes; None before ``setup`` and after ``shutdown``."""
+    return _service
+
+
 def get(**bound: Any) -> FilteringBoundLogger:
     """A logger with ``bound`` in each of its events; valid before and after ``setup``."""
     return cast("FilteringBoundLogger", structlog.get_logger(**bound))
@@ -166,8 +178,8 @@ def dropped() -> int:
 
 def shutdown(timeout_s: float = _FLUSH_S) -> None:
     """Write what is queued, for at most ``timeout_s``, and go back to plain stderr and level info; idempotent."""
-    global _writer, _least
-    writer, _writer = _writer, None
+    global _writer, _least, _service
+    writer, _writer, _service = _writer, None, None
     if writer is not None:
         _least = logging.INFO
         _configure(None, readable=True)

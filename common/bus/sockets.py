@@ -39,7 +39,9 @@ def new_socket(
 def drain(made: Socket, limit: int) -> Iterator[list[bytes]]:
     """The messages that are there, at most ``limit``, without waiting."""
     for _ in range(limit):
-        if not int(made.getsockopt(zmq.EVENTS)) & _READABLE:  # cheaper than the exception, which every drain would end with
+        if (
+            not int(made.getsockopt(zmq.EVENTS)) & _READABLE
+        ):  # cheaper than the exception, which every drain would end with
             return
         try:
             yield made.recv_multipart(zmq.NOBLOCK)

@@ -18,8 +18,8 @@ from multiprocessing.connection import Connection
 from multiprocessing.process import BaseProcess
 from typing import Generic, TypeVar
 
-from common import clock
-from common.log import get
+from common import clock, log
+from common.log import Level
 from common.service.memory import keep_all
 from common.service.parent import die_with_parent
 
@@ -73,7 +73,8 @@ class Crew(Generic[J, R]):
     place is filled when it is surely gone: two never work on one job.
 
     A worker ends with the thread that made the crew, and has a process group of its own: a signal to the service's
-    group is for the service, which then drains. ``replaced`` counts the deaths.
+    group is for the service, which then drains. It logs as the service does, at its level of the moment (``worker.job``
+    at debug). ``replaced`` counts the deaths.
     """
 
     def __init__(
@@ -146,7 +147,8 @@ class Crew(Generic[J, R]):
 
     def _started(self) -> _Worker[J]:
         ours, its = _SPAWN.Pipe()
-        process = _SPAWN.Process(target=_serve, args=(its, os.getpid(), *self._start_with), daemon=True)
+        told = (its, os.getpid(), log.service(), log.level())
+        process = _SPAWN.Process(target=_serve, args=(*told, *self._start_with), daemon=True)
         process.start()
         its.close()
         return _Worker(process, ours, begun_ns=clock.monotonic_ns())
@@ -165,7 +167,7 @@ class Crew(Generic[J, R]):
                 worker.begun_ns = clock.monotonic_ns()
             worker.tasks.append(task)
             with suppress(ConnectionError):  # dead: `finished` reads that from its pipe, and the task is not lost
-                worker.pipe.send(task.job)
+                worker.pipe.send((log.level(), task.key, task.job))
 
     def _heard(self, worker: _Worker[J]) -> Iterator[tuple[str, R | Failure]]:
         while not worker.over and worker.pipe.poll(0):
@@ -185,7 +187,9 @@ class Crew(Generic[J, R]):
         worker.over = True
         worker.pipe.close()
         worker.process.kill()  # whoever closed its pipe is of no use
-        get().warning("worker.died", pid=worker.process.pid, hung=worker.hung, jobs=[task.key for task in worker.tasks])
+        log.get().warning(
+            "worker.died", pid=worker.process.pid, hung=worker.hung, jobs=[task.key for task in worker.tasks]
+        )
         tasks = list(worker.tasks)
         worker.tasks.clear()
         if tasks:
@@ -207,6 +211,8 @@ class Crew(Generic[J, R]):
 def _serve(
     pipe: Connection,
     parent: int,
+    service: str | None,
+    level: Level,
     work: Callable[[J], R],
     prepare: Callable[..., None],
     prepared_with: tuple[object, ...],
@@ -216,14 +222,21 @@ def _serve(
     signal.signal(signal.SIGINT, signal.SIG_IGN)
     if not die_with_parent(parent, signal.SIGKILL):
         os._exit(1)
+    if service is not None:
+        log.setup(service, level)
     prepare(*prepared_with)
     keep_all()
     with suppress(EOFError, ConnectionError):  # the service has closed the pipe: nothing more to do
         pipe.send(None)
         while True:
-            job = pipe.recv()
+            level, key, job = pipe.recv()
+            if level != log.level():  # the service's, which `tagmill log` may have changed
+                log.set_level(level)
+            begun_ns = clock.monotonic_ns()
             try:
                 result: R | Failure = work(job)
             except Exception:  # noqa: BLE001 - a bug met by one job is told and costs that job, not the worker
                 result = Failure("exception", traceback.format_exc())
+            log.get().debug("worker.job", job=key, pid=os.getpid(), took_ms=(clock.monotonic_ns() - begun_ns) / 1e6)
             pipe.send(result)
+    log.shutdown()

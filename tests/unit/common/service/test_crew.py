@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import json
 import os
 import signal
 from collections.abc import Iterator
@@ -11,6 +12,7 @@ from pathlib import Path
 import psutil
 import pytest
 
+from common import log
 from common.bus import Poller
 from common.service.crew import Crew, Failure
 from tests.support import crew_jobs
@@ -149,3 +151,26 @@ def test_close_ends_busy_and_idle_workers_twice(place: Place) -> None:
     crew.close()
     crew.close()
     assert not any(psutil.pid_exists(pid) for pid in pids)
+
+
+def test_a_worker_logs_for_its_service_at_the_level_of_the_moment(
+    place: Place, capfd: pytest.CaptureFixture[str]
+) -> None:
+    log.setup("test.0", "info")
+    lines: list[dict[str, object]] = []
+
+    def told() -> bool:
+        lines.extend(json.loads(line) for line in capfd.readouterr().err.splitlines())
+        return any(line["event"] == "worker.job" for line in lines)
+
+    try:
+        with closing(Crew(crew_jobs.work, crew_jobs.prepare, (1000,))) as crew:
+            crew.submit("quiet", 1)
+            results(crew, 1)
+            log.set_level("debug")
+            crew.submit("told", 2)
+            results(crew, 1)
+            wait_for(told, ENOUGH_S, "the worker's line")
+    finally:
+        log.shutdown()
+    assert [(line["service"], line["job"]) for line in lines if line["event"] == "worker.job"] == [("test.0", "told")]
