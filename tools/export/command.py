@@ -17,6 +17,7 @@ from rich.console import Console
 from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, TimeRemainingColumn
 
 from common.errors import EXIT_OK, EXIT_REFUSED
+from tools.dataset.deriving import session_named
 from tools.export.check import Checks, check_export
 from tools.export.options import add_options, folder_of, options_of
 from tools.export.plan import Plan, left_out_words, plan_export
@@ -29,7 +30,7 @@ EXIT_INTERRUPTED = 130
 def add_parser(parser: argparse.ArgumentParser) -> None:
     """The arguments."""
     parser.add_argument("format", metavar="FORMAT", help=", ".join(known_formats()))
-    parser.add_argument("sessions", nargs="+", type=Path, metavar="SESSION", help="a session's folder")
+    parser.add_argument("sessions", nargs="+", metavar="SESSION", help="a session's name below dataset.root, or folder")
     parser.add_argument("--out", type=Path, required=True, metavar="DIR", help="an empty folder, or an earlier export")
     parser.add_argument("--workers", type=int, default=os.cpu_count() or 1, help="threads (one a core)")
     parser.add_argument(
@@ -45,7 +46,8 @@ def run(args: argparse.Namespace) -> int:
     folder, workers = folder_of(args.out), max(args.workers, 1)
     began = time.monotonic()
     console = Console(highlight=False, stderr=args.json)
-    plan = plan_export(args.format, exporter, [folder_of(path) for path in args.sessions], options, workers)
+    sessions = [folder_of(session_named(args, text)) for text in args.sessions]
+    plan = plan_export(args.format, exporter, sessions, options, workers)
     with _bar(console, "labels", len(plan.export.shots)) as tick:
         prepared = prepare(folder, exporter, plan.export, workers, copy=options.pictures.copy, tick=tick)
     if not args.json:

@@ -21,11 +21,6 @@ def read_sources(folders: Sequence[Path]) -> list[Source]:
     seen: dict[Path, Path] = {}
     files: list[tuple[Path, SessionFile]] = []
     for folder in folders:
-        if not (folder / SESSION_FILE).is_file():
-            raise RefusedError(
-                f"there is no session in {folder} (it has no {SESSION_FILE}); name a folder below dataset.root",
-                code="unknown_session",
-            )
         if folder.resolve() in seen:
             raise RefusedError(f"session {folder} is named twice", code="refused")
         seen[folder.resolve()] = folder

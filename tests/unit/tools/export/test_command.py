@@ -22,7 +22,7 @@ from tools.export.pictures import Change
     ("words", "sentence"),
     [
         (["yolo5", "{s}"], "unknown format 'yolo5'; did you mean 'yolo'?"),
-        (["yolo", "{t}/nowhere"], "there is no session in"),
+        (["yolo", "{t}/nowhere"], "there is no session nowhere in"),
         (["yolo", "{t}/empty"], "there is no sample in"),
         (["yolo", "{s}", "{s}"], "is named twice"),
         (["yolo", "{s}", "--camera", "cam7"], "the sessions have no camera 'cam7'; they have cam0"),
@@ -55,6 +55,14 @@ def test_each_mistake_has_its_sentence_and_nothing_is_written(
     assert sentence in " ".join(told.split())
     assert "Traceback" not in told
     assert not (tmp_path / "out").exists()
+
+
+def test_a_session_is_named_as_everywhere_else(
+    session12: Path, tmp_path: Path, export: Export, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    (tmp_path / "rig.yaml").write_text(f"dataset: {{root: {session12.parent}}}\n")
+    monkeypatch.chdir(tmp_path)
+    assert sum(export("yolo", session12.name, "--no-check", out=tmp_path / "out")["samples"].values()) == 12
 
 
 def test_a_folder_of_somebody_elses_is_not_touched(
