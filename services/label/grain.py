@@ -33,14 +33,13 @@ def grain(bgr: Picture, sources: Mask, size: tuple[int, int], seed: int) -> Floa
     random = np.random.default_rng(seed)
     half = _BLOCK // 2
     width, height = size
-    down, along = height // half + 2, width // half + 2
     # Rows of pixels with their channels side by side: a block's row is one run of memory.
-    canvas = np.zeros(((down + 2) // 2 * _BLOCK + half, ((along + 2) // 2 * _BLOCK + half) * 3), dtype=np.float32)
+    canvas = np.zeros((height + half + _BLOCK, (width + half + _BLOCK) * 3), dtype=np.float32)
     blocks = np.lib.stride_tricks.sliding_window_view(residual.reshape(len(residual), -1), _WINDOW.shape)[:, ::3]
     for y in (0, half):
         for x in (0, half * 3):
             # A quarter of the blocks, which lie side by side: one copy for all of them.
-            rows, columns = (canvas.shape[0] - y) // _BLOCK, (canvas.shape[1] - x) // _WINDOW.shape[1]
+            rows, columns = -((y - half - height) // _BLOCK), -((x - (half + width) * 3) // _WINDOW.shape[1])
             chosen = places[random.integers(0, len(places), rows * columns)]
             tiles = blocks[chosen[:, 0], chosen[:, 1]]
             tiles *= _WINDOW
