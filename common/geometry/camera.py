@@ -6,6 +6,7 @@ Camera frame: x right, y down, z forward, mm. Pixels: integer = pixel centre.
 from __future__ import annotations
 
 from dataclasses import dataclass, field
+from functools import lru_cache
 from typing import Literal
 
 import cv2
@@ -51,8 +52,8 @@ class CameraModel:
 
     @classmethod
     def from_label(cls, label: CameraLabel) -> CameraModel:
-        """From the form in which a camera describes itself."""
-        return cls(label.width, label.height, np.array(label.matrix), np.array(label.distortion), model=label.model)
+        """From the form in which a camera describes itself; equal ones give the same model."""
+        return _from_label(label)
 
     @classmethod
     def guess(cls, width: int, height: int, field_of_view_deg: float = 65.0) -> CameraModel:
@@ -152,6 +153,12 @@ class CameraModel:
         if len(reached):
             return float(min(radii[reached[0]] * MARGIN, radii[turn] * 0.98))
         return float(max(radii[turn] * 0.98, radii[1]))
+
+
+@lru_cache(maxsize=64)
+def _from_label(label: CameraLabel) -> CameraModel:
+    """Kept, for how far a lens is to be trusted takes a millisecond to find out, and every frame asks."""
+    return CameraModel(label.width, label.height, np.array(label.matrix), np.array(label.distortion), model=label.model)
 
 
 def _undistorted(uv: Array, matrix: Array, distortion: Array, criteria: tuple[int, int, float]) -> Array:
