@@ -51,14 +51,17 @@ class Snapshot(SessionReader):
 
     def label(self, sample: str) -> Label:
         """A sample's label, though it was deleted since; raises DatasetError as `SessionReader.label`."""
-        trash = self.bin
-        for place in () if trash is None else (super().label, trash.label):
-            try:
-                return place(sample)
-            except DatasetError as error:
-                if error.code != "missing_file":
-                    raise
-        return super().label(sample)
+        try:
+            return super().label(sample)
+        except DatasetError as error:
+            if error.code != "missing_file" or (trash := self.bin) is None:
+                raise
+        try:
+            return trash.label(sample)
+        except DatasetError as error:
+            if error.code != "missing_file":
+                raise
+        return super().label(sample)  # it was put back in between
 
     def path(self, file: StoredFile) -> Path:
         """Where a sample's file is now, in the session or its bin; raises DatasetError as `SessionReader.path`."""
