@@ -86,6 +86,10 @@ class Layout:
         """Where slot 0 begins."""
         return _up(HEADER_BYTES + self.slots * LINE, PAGE)
 
+    def slot_start(self, slot: int) -> int:
+        """Where a slot begins."""
+        return self.first_slot + slot * self.slot_bytes
+
     @property
     def size(self) -> int:
         """Bytes of the whole segment."""
@@ -151,7 +155,7 @@ class Layout:
         """The arrays of one slot, writable where the mapping is; raises IndexError for a slot that isn't."""
         if not 0 <= slot < self.slots:
             raise IndexError(f"slot {slot} of a ring with {self.slots}")
-        start = self.first_slot + slot * self.slot_bytes
+        start = self.slot_start(slot)
         pixels = self.width * self.height
         bgr = np.frombuffer(buffer, np.uint8, self.colour_bytes, start)
         depth = original = None

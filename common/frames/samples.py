@@ -24,10 +24,11 @@ class SampleRing:
         self, name: str, width: int, height: int, has_depth: bool, slots: int, with_original: bool = False
     ) -> None:
         self.layout = Layout("samples", width, height, slots, has_depth, with_original)
-        self._segment = Segment.create(name, self.layout.size)
+        self._segment = Segment.create(name, self.layout.size, first=self.layout.first_slot)
         self.layout.write_header(self._segment.buffer)
         self._free = list(reversed(range(slots)))
         self._taken: set[int] = set()
+        self._used: set[int] = set()
 
     @property
     def name(self) -> str:
@@ -43,11 +44,16 @@ class SampleRing:
         """Take a slot; None if all are taken.
 
         The one that was given back last: while little waits, few slots go round, and their pixels stay in the caches
-        and the pages of whoever maps them.
+        and the pages of whoever maps them. A slot gets its memory when it is first taken, since all at once would hold
+        up the frames of every camera: NoSpaceError if others have taken that memory since the ring was made.
         """
         if not self._free:
             return None
-        slot = self._free.pop()
+        slot = self._free[-1]
+        if slot not in self._used:
+            self._segment.allocate(self.layout.slot_start(slot), self.layout.slot_bytes)
+            self._used.add(slot)
+        self._free.pop()
         self._taken.add(slot)
         return slot
 

@@ -57,18 +57,20 @@ class Segment:
         self._buffer: memoryview | None = memoryview(self._map)
 
     @classmethod
-    def create(cls, name: str, size: int) -> Segment:
+    def create(cls, name: str, size: int, first: int | None = None) -> Segment:
         """Make, lock and allocate a segment of ``size`` bytes, all 0, readable by this user only.
 
         Raises NameTakenError if the name exists, NoSpaceError if the memory isn't there; allocated now, it
-        can't kill a writer by SIGBUS later.
+        can't kill a writer by SIGBUS later. With ``first`` only so many bytes are allocated now (a large segment takes
+        longer than a frame may), and the rest by ``allocate`` before it is touched.
         """
         _check_name(name)
         path = shm_folder() / name
         _check_room(path.parent, name, size)
         descriptor = _open_locked(path)
         try:
-            os.posix_fallocate(descriptor, 0, size)
+            os.ftruncate(descriptor, size)
+            os.posix_fallocate(descriptor, 0, size if first is None else first)
             return cls(name, descriptor, size, owned=True, writable=True)
         except OSError as error:
             path.unlink(missing_ok=True)
@@ -98,6 +100,17 @@ class Segment:
             return cls(name, descriptor, size, owned=False, writable=writable)
         except OSError:
             os.close(descriptor)
+            raise
+
+    def allocate(self, start: int, count: int) -> None:
+        """Give ``count`` bytes from ``start`` their memory; raises NoSpaceError, or FrameLostError after ``close``."""
+        if self._descriptor is None:
+            raise FrameLostError(f"the segment {self.name} is closed")
+        try:
+            os.posix_fallocate(self._descriptor, start, count)
+        except OSError as error:
+            if error.errno in _NO_ROOM:
+                raise _no_space(shm_folder(), self.name, count) from error
             raise
 
     @property

@@ -84,6 +84,9 @@ class Previews:
         except FrameLostError:
             self._free(camera.name)
             return
+        except NoSpaceError as error:
+            self._no_space(camera.name, error)
+            return
         finisher.submit(Job(_JOB + camera.name, show.work.name, slot, camera.state.camera, detections.markers, around))
 
     def finished(self, job: Job, result: Finished | None) -> bool:
@@ -120,11 +123,14 @@ class Previews:
                 )
                 shown = FrameWriter(segment_name(self._prefix, owner, self._boot), width, height, False, _SLOTS)
             except NoSpaceError as error:
-                get().warning("preview.no_space", camera=camera, reason=error.message)
-                self._until.pop(camera, None)
+                self._no_space(camera, error)
                 return None
             show = self._shows[camera] = _Show(work, shown)
         return show
+
+    def _no_space(self, camera: str, error: NoSpaceError) -> None:
+        get().warning("preview.no_space", camera=camera, reason=error.message)
+        self._until.pop(camera, None)
 
     def _free(self, camera: str) -> None:
         show = self._shows.get(camera)

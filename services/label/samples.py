@@ -188,7 +188,10 @@ class Samples:
             except NoSpaceError as error:
                 raise RefusedError(error.message, code="no_space") from error
             self._rings[camera] = ring
-        slot = ring.acquire()
+        try:
+            slot = ring.acquire()
+        except NoSpaceError as error:
+            raise RefusedError(error.message, code="no_space") from error
         if slot is None:
             raise RefusedError(explain("backlog_full"), code="backlog_full")
         return ring, slot

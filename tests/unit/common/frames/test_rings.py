@@ -2,7 +2,9 @@
 
 from __future__ import annotations
 
+import errno
 import itertools
+import os
 
 import numpy as np
 import pytest
@@ -275,6 +277,31 @@ def test_slots_of_samples_are_lent_until_released(name: str) -> None:
             with pytest.raises(ValueError, match="is not acquired"):
                 ring.view(wrong)
         assert ring.acquire() == 1
+
+
+def test_a_slot_of_samples_gets_its_memory_when_it_is_first_taken(name: str) -> None:
+    with SampleRing(name, 640, 480, True, 3) as ring:
+        taken = []
+        for _ in range(3):
+            taken.append((shm_folder() / name).stat().st_blocks * 512)
+            assert ring.acquire() is not None
+        assert [(later - taken[0]) // ring.layout.slot_bytes for later in taken] == [0, 1, 2]
+        ring.release(1)
+        ring.acquire()
+        assert (shm_folder() / name).stat().st_blocks * 512 <= ring.layout.size
+
+
+def test_a_slot_without_memory_is_refused_and_stays_free(name: str, monkeypatch: pytest.MonkeyPatch) -> None:
+    def full(_descriptor: int, _start: int, _count: int) -> None:
+        raise OSError(errno.ENOSPC, "No space left on device")
+
+    with SampleRing(name, WIDTH, HEIGHT, True, 2) as ring:
+        with monkeypatch.context() as others:
+            others.setattr(os, "posix_fallocate", full)
+            with pytest.raises(NoSpaceError, match="shared memory is full"):
+                ring.acquire()
+        assert ring.free == 2
+        assert ring.acquire() == 0
 
 
 def test_samples_are_seen_and_changed_by_the_eraser_and_only_read_by_the_store(name: str) -> None:
