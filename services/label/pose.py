@@ -15,23 +15,18 @@ from numpy.typing import NDArray
 
 from common.errors import PoseError
 from common.geometry import Box, CameraModel, Pose
-from services.label.fit import Fit, Observed, covariance_of, join, misfit, observe, refine, residual_px, square_poses
-from services.label.visibility import faces_camera
+from services.label.agreement import View, agreeing, view_of, without_each
+from services.label.fit import Fit, Observed, covariance_of, join, refine, residual_px
 from services.label.visible_objects import SeenMarker
 
 Array = NDArray[np.float64]
 
-MOUNTING_MM = 3.0
-"""How far a marker may sit from where the rig file says before it contradicts the object's others."""
 DECIDED = 9.0
 """Two poses whose costs (squared, in units of the corner noise) differ by this are told apart: three sigma."""
 CERTAIN = 25.0
 """The evidence (same unit) of a pose that has no rival."""
-_DISTINCT = np.radians(8.0)
-"""Starting poses of different markers nearer than this lead to the same minimum."""
-_MOST_STARTS = 4
-_GOOD = 4.0
-"""A fit with residuals up to twice the corner noise is the true minimum, not a mirrored one."""
+DISPUTED = 4.0
+"""Markers whose joint fit leaves so many times the variance that their corners promise disagree, if tolerably."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -60,7 +55,8 @@ class BoxPose:
     ``contradicting`` markers don't fit together with the others, ``unsound`` ones give no pose at all.
     ``evidence`` is by how much (unit of ``DECIDED``) it beats the alternative; ``information`` as in ``Fit``, of
     the corners ``observed``. ``rivals`` are the fit's other minima with their odds against ``pose``, ``inflation``
-    is by how much the corners' variance is larger than their kind promises.
+    is by how much the corners' variance is larger than their kind promises. ``disputed``: where the markers agree less
+    than their corners' noise allows, the poses without each of them.
     """
 
     pose: Pose
@@ -74,6 +70,7 @@ class BoxPose:
     observed: Observed
     rivals: tuple[tuple[Pose, float], ...] = ()
     inflation: float = 1.0
+    disputed: tuple[Pose, ...] = ()
 
     @cached_property
     def covariance(self) -> Array:
@@ -86,21 +83,6 @@ class BoxPose:
         return self.alternative is not None
 
 
-@dataclass(frozen=True, eq=False)
-class _View:
-    """A seen marker prepared for fitting: corners in the object frame, own poses as poses of the object."""
-
-    seen: SeenMarker
-    observed: Observed
-    own: tuple[Pose, ...]
-    starts: tuple[Pose, ...]
-
-    def tolerance_px(self) -> float:
-        """Largest residual (px, rms of the corners) of a marker that is what and where it should be."""
-        per_mm = self.seen.side_px / self.seen.marker.size_mm
-        return 1.0 + 5.0 * self.seen.noise_px + MOUNTING_MM * per_mm
-
-
 def solve_box(
     box: Box, seen: Sequence[SeenMarker], camera: CameraModel, ambiguous_px: float, prior: Prior | None = None
 ) -> BoxPose:
@@ -109,12 +91,13 @@ def solve_box(
     A marker that doesn't fit together with the others is excluded (``contradicting``). Raises PoseError:
     code ``bad_pose`` where no sound pose exists, ``contradicts`` where two markers disagree and nothing decides.
     """
-    views = [view for view in (_view(box, marker, camera) for marker in seen) if view is not None]
+    views = [view for view in (view_of(box, marker, camera) for marker in seen) if view is not None]
     unsound = tuple(marker for marker in seen if all(marker is not view.seen for view in views))
     if not views:
         raise PoseError(f"no marker of {box.name} gives a sound pose", code="bad_pose")
-    used, fits = _consistent(box, views, prior)
-    contradicting = tuple(view.seen for view in views if view not in used)
+    used, fits = agreeing(box, views, _agreed(prior))
+    believed = {id(view.seen) for view in used}
+    contradicting = tuple(view.seen for view in views if id(view.seen) not in believed)
     together = join([view.observed for view in used])
     # Corners fit worse than their kind promises when blur or a bent marker spoils them: the noise is then larger.
     inflation = max(1.0, fits[0].cost / max(fits[0].residuals.size - 6, 1))
@@ -138,6 +121,7 @@ def solve_box(
         observed=together,
         rivals=rivals,
         inflation=inflation,
+        disputed=without_each(used, pose) if len(used) > 1 and inflation > DISPUTED else (),
     )
 
 
@@ -150,89 +134,9 @@ def corner_distance(box: Box, first: Pose, second: Pose, camera: CameraModel) ->
     return float(np.linalg.norm(one - two, axis=1).max())
 
 
-def _view(box: Box, seen: SeenMarker, camera: CameraModel) -> _View | None:
-    """None where the corners give no pose at all (degenerate, or outside what the lens model reaches)."""
-    on_box = box.marker_pose(seen.side, seen.marker)
-    points = box.marker_corners(seen.side, seen.marker)
-    observed = observe(points, seen.corners, np.full(4, seen.noise_px), camera, seen.covariance)
-    if not observed.finite:
-        return None
-    own = square_poses(observed.rays, seen.marker.size_mm)
-    starts = tuple(pose.after(on_box.inverse()) for pose in own)
-    return _View(seen, observed, own, starts) if own else None
-
-
-def _consistent(box: Box, views: list[_View], prior: Prior | None) -> tuple[list[_View], list[Fit]]:
-    """The largest set of markers that agree, with the minima of their joint fit, best first."""
-    used = list(views)
-    while True:
-        fits = _minima(box, used)
-        if fits and all(residual_px(view.observed, fits[0].pose) <= view.tolerance_px() for view in used):
-            return used, fits
-        if len(used) == 1:
-            raise PoseError(f"the marker of {box.name} gives no sound pose", code="bad_pose")
-        used = [_arbitrate(box, used, prior)] if len(used) == 2 else _without_worst(box, used)
-
-
-def _without_worst(box: Box, views: list[_View]) -> list[_View]:
-    """Leave out the marker without which the others agree best."""
-    rests = [[view for view in views if view is not left] for left in views]
-
-    def disagreement(rest: list[_View]) -> float:
-        fits = _minima(box, rest)
-        if not fits:
-            return float("inf")
-        return max(residual_px(view.observed, fits[0].pose) / view.tolerance_px() for view in rest)
-
-    return min(rests, key=disagreement)
-
-
-def _arbitrate(box: Box, views: list[_View], prior: Prior | None) -> _View:
-    """Of two markers that contradict each other, the one that an agreed earlier pose speaks for.
-
-    Without one it stays open which of them is wrong, and a wrong label is worse than none.
-    """
-    if prior is not None and prior.confirmed and prior.evidence > 0:
-        off = [residual_px(view.observed, prior.pose) / view.seen.side_px for view in views]
-        near, far = min(off), max(off)
-        if near < 0.5 and far > 2 * near:
-            return views[off.index(near)]
-    ids = " and ".join(str(view.seen.marker.id) for view in views)
-    raise PoseError(
-        f"markers {ids} of {box.name} contradict each other; check their places and sizes in the rig file",
-        code="contradicts",
-    )
-
-
-def _minima(box: Box, views: list[_View]) -> list[Fit]:
-    """The sound local minima of the joint fit, best first.
-
-    Markers on one side share the ambiguity of a lone one, so both minima count; markers on several sides leave
-    one, and the search ends when it is found.
-    """
-    together = join([view.observed for view in views])
-    flat = len({view.seen.side.face for view in views}) == 1
-    found: list[Fit] = []
-    for start in _starts(together, views):
-        fit = refine(together, start)
-        if fit is None or not all(faces_camera(fit.pose, box, v.seen.side, v.seen.marker) for v in views):
-            continue
-        found.append(fit)
-        if not flat and fit.cost <= _GOOD * fit.residuals.size:
-            break
-    return sorted(found, key=lambda fit: fit.cost)
-
-
-def _starts(together: Observed, views: list[_View]) -> list[Pose]:
-    """The markers' own poses, those that fit all of them best first; of poses nearly alike only the best."""
-    starts = sorted((start for view in views for start in view.starts), key=lambda pose: misfit(together, pose))
-    if len(views) == 1:
-        return starts
-    distinct: list[Pose] = []
-    for start in starts:
-        if all(start.angle_to(other) > _DISTINCT for other in distinct):
-            distinct.append(start)
-    return distinct[:_MOST_STARTS]
+def _agreed(prior: Prior | None) -> Pose | None:
+    """The earlier pose if several markers agreed on it and it still counts."""
+    return prior.pose if prior is not None and prior.confirmed and prior.evidence > 0 else None
 
 
 def _decide(
@@ -269,7 +173,7 @@ def _prior_evidence(best: Pose, other: Pose, prior: Prior) -> float:
     return prior.evidence if to_best < to_other else -prior.evidence
 
 
-def _own_pose(box: Box, view: _View, joint: Pose, *, alone: bool) -> Pose:
+def _own_pose(box: Box, view: View, joint: Pose, *, alone: bool) -> Pose:
     """The marker's own pose: of its two, refined on its four corners, the one nearer to the joint pose."""
     on_box = box.marker_pose(view.seen.side, view.seen.marker)
     if alone:

@@ -31,6 +31,8 @@ _NEGLIGIBLE = 1e-4
 """Tilts of less weight are left out."""
 SPANNED = 0.25
 """The least weight of a second pose that nothing decides against: two sigma then reach it."""
+DISPUTED_ODDS = 0.5
+"""Of the pose without one of the markers that disagree, against the joint one: of two, either is within two sigma."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -56,7 +58,20 @@ def quick_uncertainty(box: Box, found: BoxPose, camera: CameraModel) -> Uncertai
 
 
 def spread_of(found: BoxPose, *, tilts: bool = True) -> Spread:
-    """The poses that fit a box's markers as well as the noise allows; without ``tilts`` faster, but just the bells."""
+    """The poses that fit a box's markers as well as the noise allows; without ``tilts`` faster, but just the bells.
+
+    Where the markers disagree, one of them is wrong, and what the pose is without it counts too.
+    """
+    spread = _spread_of(found, tilts=tilts)
+    if not found.disputed:
+        return spread
+    share = 1.0 / (1.0 + 1.0 / (DISPUTED_ODDS * len(found.disputed)))
+    others = [(pose, weight * (1.0 - share)) for pose, weight in spread.others]
+    others += [(pose, share / len(found.disputed)) for pose in found.disputed]
+    return Spread(spread.covariance, tuple(others))
+
+
+def _spread_of(found: BoxPose, *, tilts: bool) -> Spread:
     covariance = found.covariance
     sides = {fit.seen.side.face for fit in found.markers}
     if tilts and len(sides) == 1:

@@ -1,12 +1,14 @@
 from __future__ import annotations
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 
 from common.errors import PoseError
 from common.geometry import Box, BoxSide, MarkerOnSide
 from services.label.pose import CERTAIN, DECIDED, Prior, corner_distance, solve_box
-from services.label.visible_objects import sort_markers
+from services.label.visible_objects import doubted, sort_markers
 from tests.unit.services.label.truth import BOX, CAMERA, FISHEYE, MARKER_CORNERS, detected, looking_at, project, seen
 
 POSE = looking_at(35, 25, 900, (30, -40))
@@ -173,6 +175,50 @@ def test_an_agreed_earlier_pose_arbitrates_between_two():
     assert found.pose.angle_to(POSE) < np.radians(1)
     with pytest.raises(PoseError):
         solve([zero, moved(one, (60, 40))], prior=Prior(POSE, CERTAIN, confirmed=False))
+
+
+NOW, JUST_BEFORE = looking_at(15, 18, 900, (60, 0)), looking_at(11, 16, 900, (30, 5))
+
+
+def left_behind(*bent: tuple[float, float]):
+    """The lid's grazing marker where it was before the box moved, with corners bent by so many px."""
+    corners = project(MARKER_CORNERS[2], JUST_BEFORE)
+    return detected(2, [*(corners[: len(bent)] + np.reshape(bent, (-1, 2))), *corners[len(bent) :]])
+
+
+@pytest.mark.parametrize("order", [1, -1])
+@pytest.mark.parametrize("prior", [None, Prior(JUST_BEFORE, CERTAIN, confirmed=True)], ids=["alone", "moved"])
+def test_a_sound_marker_is_believed_against_one_whose_corners_are_no_square(order, prior):
+    """Chaos found one label of 82 that was 35 mm off and sure of it: the pose before the box moved had decided."""
+    found = solve([seen(0, pose=NOW, noise=0.01)[0], left_behind((1.0, 0.7), (-0.7, 1.0))][::order], prior=prior)
+    assert ids(found.contradicting) == [2]
+    assert found.pose.angle_to(NOW) < np.radians(0.5)
+
+
+@pytest.mark.parametrize("order", [1, -1])
+def test_an_earlier_pose_does_not_decide_for_the_marker_that_moved_less(order):
+    with pytest.raises(PoseError) as raised:
+        solve([seen(0, pose=NOW)[0], left_behind()][::order], prior=Prior(JUST_BEFORE, CERTAIN, confirmed=True))
+    assert raised.value.code == "contradicts"
+
+
+def test_whom_a_vague_third_marker_fits_is_not_believed_for_that():
+    """Without either of the two that contradict each other the rest would agree: nothing decides between them."""
+    zero, one, lid = sort_markers(seen(0, 1, 2, pose=POSE), [BOX]).objects[0].markers
+    vague = doubted(lid, (30.0,) * 4)
+    wrong = replace(one, seen=moved(one.seen, (45, -30)))
+    for order in ((zero, wrong, vague), (vague, wrong, zero)):
+        with pytest.raises(PoseError, match="contradict"):
+            solve_box(BOX, order, CAMERA, LIMIT)
+    assert not solve_box(BOX, (zero, one, vague), CAMERA, LIMIT).contradicting
+
+
+def test_corners_that_are_no_square_by_themselves_weigh_less_than_they_claim():
+    off = [(0.8, 0.5), (-0.7, 0.6), (0.9, -0.4), (-0.6, -0.8)]
+    bent = detected(2, np.add(project(MARKER_CORNERS[2], POSE), off))
+    found = solve([seen(0, pose=POSE)[0], bent])
+    assert len(found.markers) == 2
+    assert found.pose.angle_to(POSE) < np.radians(0.1)
 
 
 def test_a_marker_glued_on_two_millimetres_off_is_no_contradiction():

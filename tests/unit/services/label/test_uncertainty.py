@@ -62,6 +62,24 @@ def test_where_nothing_decides_the_bar_spans_both_poses():
         assert np.degrees(found.pose.angle_to(found.alternative)) <= 2.05 * bar.rotation_deg
 
 
+@pytest.mark.parametrize("wrong", [0, 1, 2])
+@pytest.mark.parametrize("ids", [(0, 1), (0, 2), (0, 1, 2)])
+def test_the_bar_of_markers_that_disagree_covers_whichever_is_wrong(ids, wrong):
+    """One of them is off as a whole, by less than is tolerated: its own corners don't show it, the others' do."""
+    true, random = looking_at(35, 25, 900), np.random.default_rng(wrong)
+    seen_ = sort_markers(seen(*ids, pose=true, noise=0.02, seed=wrong), [BOX]).objects[0].markers
+    for shift in random.uniform(-1.5, 1.5, (5, 2)):
+        markers = [replace(one, covariance=np.eye(8) * 0.02**2) for one in seen_]
+        if wrong < len(markers):
+            off = markers[wrong].corners + shift
+            corners = tuple((float(x), float(y)) for x, y in off)
+            markers[wrong] = replace(markers[wrong], seen=markers[wrong].seen.model_copy(update={"corners": corners}))
+        found = solve_box(BOX, markers, CAMERA, 6.0)
+        bar = uncertainty(BOX, found, CAMERA)
+        assert np.degrees(found.pose.angle_to(true)) < 4 * bar.rotation_deg
+        assert abs(np.linalg.norm(found.pose.translation) - 900) < 4 * bar.distance_mm
+
+
 def test_corners_behind_the_camera_have_no_bar():
     near = looking_at(0, 0, 240)
     inside = looking_at(89, 0, 190, (0, 0))
