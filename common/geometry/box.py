@@ -78,6 +78,11 @@ class MarkerOnSide:
     offset_mm: tuple[float, float, float] = (0.0, 0.0, 0.0)
     rotation_deg: float = 0.0
 
+    @property
+    def margin(self) -> float | None:
+        """The white border as a share of the black square's side; None where the rig gives none."""
+        return self.border_mm / self.size_mm if self.border_mm > 0 else None
+
 
 @dataclass(frozen=True, slots=True)
 class BoxSide:

@@ -229,7 +229,7 @@ class Labeller:
 
     def _refined(self, visible: VisibleObject, bgr: Picture, camera: CameraModel) -> VisibleObject:
         def better(marker: SeenMarker) -> SeenMarker:
-            found = refine(bgr, marker.seen, self._family, camera)
+            found = refine(bgr, marker.seen, self._family, camera, marker.marker.margin)
             if not found.converged:
                 return marker if found.doubt_px is None else doubted(marker, found.doubt_px)
             exact = DetectedMarker(id=marker.seen.id, corners=found.corners, kind=found.kind)

@@ -45,8 +45,10 @@ MAX_ALONG = 3
 MIN_PIXELS = 60
 CORRELATED = 1.05
 """What the model can't explain is alike in neighbouring pixels: corners scatter by this more than from white noise."""
-FLOOR_PX = 0.004
-"""Corners of noiseless rendered markers scatter by this."""
+FLOOR_PX, BLURRED_FLOOR_PX = 0.004, 0.15
+"""Corners of noiseless rendered markers scatter by the one, and the other times (blur by cell) squared."""
+BLED_PX = 2.0
+"""So near to the white border's outer edge no pixel is taken."""
 TONE_SPREAD = 0.1
 """How bent an edge's profile is expected to be (a gamma of 2.2 is about 0.2)."""
 
@@ -78,6 +80,7 @@ class PatternFit:
     def __init__(self, pattern: Pattern, grey: Array, where: Array, start: Array, cell_px: float) -> None:
         self._pattern = pattern
         self._grey = grey
+        self._cell_px = cell_px
         self._centre = start.mean(axis=0)
         self._scale = float(np.linalg.norm(start - self._centre, axis=1).mean())
         self._where = np.ones((3, len(where)))
@@ -100,10 +103,13 @@ class PatternFit:
         self.residual = float("inf")
         self._normal = np.eye(16)
         self._variance = float("inf")
+        self._pulls = np.zeros((16, len(grey)))
 
     @classmethod
-    def of(cls, picture: Picture, pattern: Pattern, coarse: Array, lens: Lens) -> PatternFit | None:
-        """The problem for a marker in a picture; None where too little of it can be seen."""
+    def of(
+        cls, picture: Picture, pattern: Pattern, coarse: Array, lens: Lens, margin: float | None = None
+    ) -> PatternFit | None:
+        """None where too little of the marker can be seen; ``margin``: the border by the square's side, None: wide."""
         sides = np.linalg.norm(coarse - np.roll(coarse, -1, axis=0), axis=1) / pattern.cells
         if not np.isfinite(coarse).all() or sides.min() < MIN_CELL_PX:
             return None
@@ -112,7 +118,12 @@ class PatternFit:
         n = float(pattern.cells)
         square = np.array([[0.0, 0.0], [n, 0.0], [n, n], [0.0, n]], dtype=np.float32)
         to_pixels = cv2.getPerspectiveTransform(square, coarse.astype(np.float32)).astype(np.float64)
-        points = to_pixels[:, :2] @ pattern.sample(along, ACROSS_PX, (cell_u, cell_v)).T + to_pixels[:, 2:]
+        cells = pattern.sample(along, ACROSS_PX, (cell_u, cell_v))
+        if margin is not None:
+            # What lies beyond the border isn't in the model, and blur carries it in.
+            reach = np.maximum(margin * n - BLED_PX / np.array([cell_u, cell_v]), 0.0)
+            cells = cells[((cells >= -reach) & (cells <= n + reach)).all(axis=1)]
+        points = to_pixels[:, :2] @ cells.T + to_pixels[:, 2:]
         height, width = picture.shape[:2]
         x, y = np.rint(points[:2] / points[2]).astype(np.int64)
         inside = (x >= 0) & (x < width) & (y >= 0) & (y < height)
@@ -142,8 +153,26 @@ class PatternFit:
             slope = g[:2, :2] - np.outer((u, v), g[2, :2])
             change = np.array([[x, y, 1, 0, 0, 0, -u * x, -u * y], [0, 0, 0, x, y, 1, -v * x, -v * y]])
             by_g[2 * i : 2 * i + 2] = np.linalg.solve(slope, -change)
-        of_g = np.linalg.inv(self._normal)[:8, :8] * self._variance
-        return np.asarray(by_g @ of_g @ by_g.T * (self._scale * CORRELATED) ** 2 + np.eye(8) * FLOOR_PX**2)
+        inverse = np.linalg.inv(self._normal)
+        by_all = by_g @ inverse[:8]
+        white = by_g @ inverse[:8, :8] @ by_g.T * self._variance
+        # What the model can't explain is alike in the pixels of one cell; their pulls together tell what that
+        # does to the corners (the clustered sandwich: K.-Y. Liang, S. Zeger, Biometrika 1986, section 2).
+        pulls = by_all @ self._pulls_by_cell()
+        coloured = float((pulls * pulls).sum()) / max(float(np.trace(white)), 1e-30)
+        floor = math.hypot(FLOOR_PX, BLURRED_FLOOR_PX * (self._sigma / self._cell_px) ** 2)
+        return np.asarray(white * max(coloured, 1.0) * (self._scale * CORRELATED) ** 2 + np.eye(8) * floor**2)
+
+    def _pulls_by_cell(self) -> Array:
+        """How the pixels of each cell pull at the unknowns (unknowns, cells), grey levels squared."""
+        at = self._g @ self._where
+        tiles = np.clip(np.floor(at[:2] / at[2]), -1, self._pattern.cells).astype(np.int64) + 1
+        tile = tiles[0] * (self._pattern.cells + 2) + tiles[1]
+        order = np.argsort(tile, kind="stable")
+        _, first = np.unique(tile[order], return_index=True)
+        sums = np.add.reduceat(self._pulls[:, order], first, axis=1)
+        count = len(first)
+        return np.asarray(sums * math.sqrt(count / max(count - len(sums), 1)))
 
     @property
     def dimmest(self) -> float:
@@ -192,7 +221,7 @@ class PatternFit:
             normal, right = weighted @ jacobian.T, weighted @ residual
             normal[-1, -1] += (spread / TONE_SPREAD) ** 2
             right[-1] -= (spread / TONE_SPREAD) ** 2 * self._tone
-            self._normal = normal
+            self._normal, self._pulls = normal, weighted * residual
             self._variance = float(weight @ residual**2) / max(float(weight.sum()) - len(jacobian), 1.0)
         else:
             jacobian = jacobian[:-2]

@@ -63,17 +63,24 @@ class Refined:
     doubt_px: tuple[float, ...] | None = None
 
 
-def refine(picture: Picture, marker: DetectedMarker, family: Family, camera: CameraModel | None = None) -> Refined:
+def refine(
+    picture: Picture,
+    marker: DetectedMarker,
+    family: Family,
+    camera: CameraModel | None = None,
+    margin: float | None = None,
+) -> Refined:
     """Refine a marker's corners in a picture, (H, W) grey or (H, W, 3) BGR, uint8.
 
-    ``camera`` gives the lens distortion, which bends a large marker's edges; None = straight edges. Corners are
+    ``camera`` gives the lens distortion, which bends a large marker's edges; None = straight edges. ``margin`` is the
+    width of the white border as a share of the marker's side; None: wide. Corners are
     refused (the coarse ones come back) where the fit doesn't settle, explains the picture badly, or moves
     corners too far. Raises ValueError for an id that isn't in the family.
     """
     coarse = np.array(marker.corners, dtype=np.float64)
     pattern = pattern_of(family.bitmap(marker.id))
     lens = Lens(camera)
-    fit = PatternFit.of(picture, pattern, coarse, lens)
+    fit = PatternFit.of(picture, pattern, coarse, lens, margin)
     if fit is None:
         return Refined(marker.corners, marker.kind, 0.0, float("inf"), converged=False)
     side = side_length(coarse)

@@ -54,7 +54,9 @@ def tracked(
         start = None if marker.id in detected else _where(box, side, marker, guess, camera)
         if start is None:
             continue
-        found = refine(picture, DetectedMarker(id=marker.id, corners=start, kind="predicted"), family, camera)
+        found = refine(
+            picture, DetectedMarker(id=marker.id, corners=start, kind="predicted"), family, camera, marker.margin
+        )
         if found.converged and found.residual <= MAX_RESIDUAL:
             exact = DetectedMarker(id=marker.id, corners=found.corners, kind=found.kind)
             seen.append(SeenMarker(side, marker, exact, found.covariance))

@@ -57,13 +57,14 @@ def render(
     blur_px: float = 0.6,
     noise: float = 3.0,
     gamma: float = 1.0,
+    border_cells: float = BORDER_CELLS,
 ) -> Seen:
     """The marker of ``cells`` (black square of ``size_mm``) on a grey wall, by the camera ``MATRIX``, ``SIZE``."""
     rotation, translation = pose
     lens = np.zeros(5) if distortion is None else distortion
     n = len(cells)
     corners = _project(_square(size_mm / 2), pose, lens)
-    outer = _project(_square(size_mm * (0.5 + BORDER_CELLS / n)), pose, lens)
+    outer = _project(_square(size_mm * (0.5 + border_cells / n)), pose, lens)
     x0, y0 = np.floor(outer.min(axis=0)).astype(int) - AROUND_PX
     x1, y1 = np.ceil(outer.max(axis=0)).astype(int) + AROUND_PX + 1
     part = (np.arange(SUPERSAMPLING) + 0.5) / SUPERSAMPLING - 0.5
@@ -75,7 +76,7 @@ def render(
     u = (on_marker[:, 0] / on_marker[:, 2] / size_mm + 0.5) * n
     v = (0.5 - on_marker[:, 1] / on_marker[:, 2] / size_mm) * n
     light = np.full(len(u), WALL, dtype=np.float32)
-    light[_within(u, v, -BORDER_CELLS, n + BORDER_CELLS)] = 1.0
+    light[_within(u, v, -border_cells, n + border_cells)] = 1.0
     inside = _within(u, v, 0, n)
     light[inside] = cells[v[inside].astype(int), u[inside].astype(int)]
     fine = light.reshape(len(ys), len(xs))
