@@ -43,10 +43,10 @@ COARSE_PIXELS = 200
 MAX_ALONG = 3
 """At how many places along an edge of one cell, at most."""
 MIN_PIXELS = 60
-CORRELATED = 1.05
-"""What the model can't explain is alike in neighbouring pixels: corners scatter by this more than from white noise."""
+CHANCE = 2.0
+"""By so many times neighbours may pull together more than white noise would, by chance or a little correlation."""
 FLOOR_PX, BLURRED_FLOOR_PX = 0.004, 0.15
-"""Corners of noiseless rendered markers scatter by the one, and the other times (blur by cell) squared."""
+"""Corners of noiseless rendered markers scatter by the one, and the other times (blur by cell) cubed."""
 BLED_PX = 2.0
 """So near to the white border's outer edge no pixel is taken."""
 TONE_SPREAD = 0.1
@@ -153,15 +153,14 @@ class PatternFit:
             slope = g[:2, :2] - np.outer((u, v), g[2, :2])
             change = np.array([[x, y, 1, 0, 0, 0, -u * x, -u * y], [0, 0, 0, x, y, 1, -v * x, -v * y]])
             by_g[2 * i : 2 * i + 2] = np.linalg.solve(slope, -change)
-        inverse = np.linalg.inv(self._normal)
-        by_all = by_g @ inverse[:8]
-        white = by_g @ inverse[:8, :8] @ by_g.T * self._variance
-        # What the model can't explain is alike in the pixels of one cell; their pulls together tell what that
-        # does to the corners (the clustered sandwich: K.-Y. Liang, S. Zeger, Biometrika 1986, section 2).
+        by_all = by_g @ np.linalg.inv(self._normal)[:8]
+        white = by_all[:, :8] @ by_g.T * self._variance
+        # What the model can't explain is alike in a cell's pixels (clustered sandwich: Liang, Zeger, Biometrika 1986).
         pulls = by_all @ self._pulls_by_cell()
         coloured = float((pulls * pulls).sum()) / max(float(np.trace(white)), 1e-30)
-        floor = math.hypot(FLOOR_PX, BLURRED_FLOOR_PX * (self._sigma / self._cell_px) ** 2)
-        return np.asarray(white * max(coloured, 1.0) * (self._scale * CORRELATED) ** 2 + np.eye(8) * floor**2)
+        floor = math.hypot(FLOOR_PX, BLURRED_FLOOR_PX * (self._sigma / self._cell_px) ** 3)
+        share = coloured if coloured > CHANCE else 1.0
+        return np.asarray(white * share * self._scale**2 + np.eye(8) * floor**2)
 
     def _pulls_by_cell(self) -> Array:
         """How the pixels of each cell pull at the unknowns (unknowns, cells), grey levels squared."""

@@ -345,7 +345,7 @@ def test_what_lies_beyond_a_narrow_border_does_not_pull_the_corners() -> None:
     assert known[1] < 1.6
 
 
-def test_the_covariance_covers_what_motion_blur_does_to_the_corners() -> None:
-    px, ratio = bars(12, 1000, smear_px=5, noise=1.0)
-    assert px > 0.05  # it hurts
-    assert ratio < 1.8  # 2.2 if pixels' misfits were independent
+def test_the_covariance_feels_what_motion_blur_does_to_the_corners() -> None:
+    px, ratio = bars(12, 1000, smear_px=7, noise=1.0)
+    assert px > 0.1  # it hurts
+    assert ratio < 2.6  # 2.75 if pixels' misfits were independent
