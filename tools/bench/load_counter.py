@@ -74,6 +74,8 @@ class LoadCounter:
         match message:
             case FrameAnnounced(ref=ref):
                 self._hops.announced(ref, sent_ns)
+                if not ref.preview:
+                    _extend(self._cameras.setdefault(ref.camera, _Seen()), ref.count, sent_ns)
             case CameraState():
                 seen = self._cameras.setdefault(message.camera.name, _Seen())
                 _extend(seen, message.captured, sent_ns)

@@ -99,7 +99,7 @@ def print_growth(loads: Mapping[int, Load]) -> None:
 
 
 def _share(load: Load, what: str) -> float:
-    """The least share of any camera's offered frames. A camera's states tell whole seconds, so it may pass 1."""
+    """The least share of any camera's offered frames. A frame under way at either end may make it pass 1."""
     return float(min(getattr(camera, what) / max(camera.offered, 1) for camera in load.cameras.values()))
 
 
