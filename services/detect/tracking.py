@@ -4,8 +4,8 @@ Pure state machine around a detector: a full search, then looks at where the kno
 constant velocity. A marker that isn't there brings a full search in the same frame; a marker that enters
 the picture is found by the next full search, at most ``SEARCH_EVERY`` frames later.
 
-Of a live camera that search can come after the frame's markers are told (``later``, then ``look_around``): it takes
-several times as long as following, and the frame need not wait for what enters only now.
+Of a live camera that search can come after the frame's markers are told (``later``, then ``look_around``), and a
+frame sooner: it takes several times as long as following, and the frame need not wait for what enters only now.
 """
 
 from __future__ import annotations
@@ -66,23 +66,25 @@ class Tracker:
         """Forget everything: the next frame is searched whole."""
         self._tracks: list[_Track] = []
         self._since_search = SEARCH_EVERY
+        self._later = False
         self._shape: tuple[int, ...] = ()
 
     @property
     def owes_search(self) -> bool:
         """Whether the last frame was to be searched, but that was left to ``look_around``."""
-        return bool(self._tracks) and self._since_search >= SEARCH_EVERY
+        return self._later and bool(self._tracks) and self._since_search >= SEARCH_EVERY - 1
 
     def detect(self, grey: Grey, *, later: bool = False) -> list[DetectedMarker]:
         """The markers in the next frame (H, W) uint8; a changed size begins anew.
 
-        With ``later`` a frame whose turn it is to be searched is only followed, if that succeeds, and
+        With ``later`` the frame before the one whose turn it is to be searched is followed, if that succeeds, and
         ``look_around`` is to be called with it; where it wasn't, the next frame is searched at once.
         """
         if grey.shape != self._shape:
             self.reset()
             self._shape = grey.shape
-        found = self._followed(grey, SEARCH_EVERY + later)
+        self._later = later
+        found = self._followed(grey)
         if found is None:
             found = self._search(grey)
         self._tracks = [_Track(one, self._velocity(one)) for one in found]
@@ -104,10 +106,10 @@ class Tracker:
         self._since_search = 0
         return found
 
-    def _followed(self, grey: Grey, search_every: int) -> list[DetectedMarker] | None:
+    def _followed(self, grey: Grey) -> list[DetectedMarker] | None:
         """The known markers in this frame; None where it has to be searched."""
         self._since_search += 1
-        if self._follower is None or not self._tracks or self._since_search >= search_every:
+        if self._follower is None or not self._tracks or self._since_search >= SEARCH_EVERY:
             return None
         expected = [track.expected() for track in self._tracks]
         found = [one for one in self._follower.follow(grey, expected) if one is not None]
