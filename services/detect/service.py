@@ -170,6 +170,7 @@ class DetectService:
         ref = camera.next(began, self._config.ring.slots)
         if ref is None:
             return
+        self._to_search.pop(camera.name, None)  # its pixels are about to be those of this frame
         grey = camera.grey(ref)
         if grey is None:
             return
@@ -188,7 +189,6 @@ class DetectService:
         tracker = self._tracker(camera)
         live = camera.state is not None and not camera.state.paced
         found = tracker.detect(grey, later=live)
-        self._to_search.pop(camera.name, None)
         if tracker.owes_search:
             self._to_search[camera.name] = grey
         return found

@@ -131,10 +131,9 @@ QUICK = {
     (while_checking, signal.SIGTERM),
     (as_the_supervisor_starts, signal.SIGINT),
     (as_the_services_start, signal.SIGTERM),
-    (as_the_services_open, signal.SIGINT),
     (when_ready, signal.SIGINT),
 }
-"""Each moment once; the other combinations belong to the long runs."""
+"""Almost each moment once; the other combinations belong to the long runs."""
 CASES = [
     pytest.param(
         moment,

@@ -248,6 +248,7 @@ def bench_load(*options: str) -> dict[str, object]:
     return document
 
 
+@pytest.mark.long
 def test_the_load_test_gives_figures_that_fit_together() -> None:
     load = bench_load("--cameras", "2", "--fps", "8", "--seconds", "3", "--stall-store")
     assert set(load) == {"seconds", "cameras", "processes", "records", "hops"}

@@ -97,7 +97,7 @@ def two_tags(testdata: Find, tmp_path: Path, request: pytest.FixtureRequest) -> 
     return folder, len(numbers)
 
 
-@pytest.mark.parametrize("two_tags", [8, pytest.param(1, marks=pytest.mark.long)], indirect=True)
+@pytest.mark.parametrize("two_tags", [12, pytest.param(1, marks=pytest.mark.long)], indirect=True)
 def test_two_tags_from_first_to_last_frame(two_tags: tuple[Path, int], tmp_path: Path) -> None:
     path, frames = two_tags
     rig = tmp_path / "rig.yaml"
