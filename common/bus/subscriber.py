@@ -55,6 +55,7 @@ class Subscriber:
         self.stale: dict[str, int] = {}
         self._endpoints = endpoints
         self._wanted: set[bytes] = set()
+        self._whole: set[str] = set()
         self._routes: dict[bytes, _Route] = {}
         self._last: dict[bytes, tuple[str, int]] = {}
         self._bus: Socket | None = _connect(endpoints.subscribe, BUS_QUEUE)
@@ -70,9 +71,11 @@ class Subscriber:
         """For the Poller."""
         return tuple(made for made in (self._bus, self._previews) if made is not None)
 
-    def subscribe(self, topic: Topic, *keys: str) -> None:
-        """Receive this topic; fewer keys than the topic has = all below."""
+    def subscribe(self, topic: Topic, *keys: str, every: bool = False) -> None:
+        """Receive this topic; fewer keys than the topic has = all below. ``every``: of a ``latest`` topic too."""
         wire = topic.key(*keys)
+        if every:
+            self._whole.add(topic.name)
         if wire not in self._wanted:
             self._wanted.add(wire)
             self._routes.clear()
@@ -124,7 +127,8 @@ class Subscriber:
         newest: dict[bytes, list[tuple[int, _Row]]] = {}
         order: list[tuple[int, Received]] = []
         for position, row in enumerate(rows):
-            if row[1][0].delivery == "latest":
+            topic = row[1][0]
+            if topic.delivery == "latest" and topic.name not in self._whole:
                 newest.setdefault(row[0], []).append((position, row))
             else:
                 order += ((position, received) for received in self._all_valid([row]))

@@ -1,7 +1,8 @@
-"""The cameras that detect knows: the newest frame that waits, the ring it lies in, and what was passed over."""
+"""The cameras that detect knows: the frames that wait, the ring they lie in, and what was passed over."""
 
 from __future__ import annotations
 
+from collections import deque
 from typing import Literal
 
 import cv2
@@ -18,10 +19,17 @@ Reason = Literal["superseded", "stale", "frame_lost"]
 GONE_AFTER_NS = 5_000_000_000
 """A camera that has said nothing for so long is gone: its ring is unmapped."""
 SHORTEST_HISTORY_NS = 500_000_000
+MOST_WAITING = 5
+"""Frames of a recorded camera that wait: a sixth of a second at 30/s. With one more only the newest is left."""
+_RECORDED_NS = 3_000_000_000
+"""A recording that has told nothing for so long has ended with its label process; it tells once a second."""
 
 
 class Camera:
     """One camera as detect sees it.
+
+    Of the frames that wait only the newest is taken: a live picture is worth most when it is fresh. While a recording
+    runs each is wanted, so they wait their turn, unless detect falls behind for longer than a moment.
 
     ``skipped`` counts, for as long as this process lives, the captured frames that gave no detections:
     ``superseded`` by a newer one (here, in a queue, or lost on the bus), ``stale`` (older than the ring's
@@ -33,7 +41,8 @@ class Camera:
         self.state: CameraState | None = None
         self.skipped = Tally()
         self.rate = Rate()
-        self._waiting: FrameRef | None = None
+        self._waiting: deque[FrameRef] = deque()
+        self._recorded_ns = -_RECORDED_NS
         self._boot = ""
         self._last_frame = 0
         self._last_count = 0
@@ -44,7 +53,7 @@ class Camera:
     @property
     def ready(self) -> bool:
         """Whether a frame waits and the camera has said what it is."""
-        return self._waiting is not None and self.state is not None
+        return bool(self._waiting) and self.state is not None
 
     @property
     def patient(self) -> bool:
@@ -59,19 +68,26 @@ class Camera:
             self.unmap()
 
     def announced(self, ref: FrameRef, now_ns: int) -> None:
-        """A frame is in the ring; it takes the place of one that still waits."""
+        """A frame is in the ring; it takes the place of those that still wait, but for a recorded camera's."""
         self._heard_ns = now_ns
-        newest = self._waiting
+        newest = self._waiting[-1] if self._waiting else None
         if self._boot == ref.boot and ref.frame <= self._last_frame:
             return
         if newest is None or newest.boot != ref.boot or newest.frame < ref.frame:
-            self._waiting = ref
+            recorded = now_ns - self._recorded_ns < _RECORDED_NS
+            if newest is None or newest.boot != ref.boot or not recorded or len(self._waiting) == MOST_WAITING:
+                self._waiting.clear()
+            self._waiting.append(ref)
+
+    def recorded(self, running: bool, now_ns: int) -> None:
+        """What a recording on this camera says of itself."""
+        self._recorded_ns = now_ns if running else -_RECORDED_NS
 
     def next(self, now_ns: int, slots: int) -> FrameRef | None:
-        """Take the frame that waits; None if it is stale. ``slots`` is the ring's length as configured."""
-        ref, self._waiting = self._waiting, None
-        if ref is None:
+        """Take the first frame that waits; None if it is stale. ``slots`` is the ring's length as configured."""
+        if not self._waiting:
             return None
+        ref = self._waiting.popleft()
         self._account(ref)
         if now_ns - ref.captured_mono_ns > self._history_ns(ref, slots):
             self._skip(ref, "stale")
@@ -100,7 +116,7 @@ class Camera:
     def forget(self) -> None:
         """The camera vanished: keep only its account."""
         self.state = None
-        self._waiting = None
+        self._waiting.clear()
         self._grey = None
         self.unmap()
 

@@ -1,6 +1,7 @@
 """The detect process: from frames to markers.
 
-Consumes  FRAME, CAMERA, SHARES; the pixels in the cameras' rings, in place.
+Consumes  FRAME, CAMERA, SHARES, RECORDING (a recorded camera's frames wait their turn); the pixels in the cameras'
+          rings, in place.
 Produces  DETECTIONS (source ``markers``) for each frame that it looked at, with the account of those it didn't.
 States    running.
 """
@@ -10,10 +11,10 @@ from __future__ import annotations
 from common import clock
 from common.bus import Poller, Publisher, Subscriber
 from common.markers import family
-from common.messages import MARKERS, CameraState, DetectedMarker, Detections, FrameAnnounced, Shares
+from common.messages import MARKERS, CameraState, DetectedMarker, Detections, FrameAnnounced, RecordingState, Shares
 from common.service import Context, Report
 from common.service.meters import Percentiles, Rate
-from common.topics import CAMERA, DETECTIONS, FRAME, SHARES
+from common.topics import CAMERA, DETECTIONS, FRAME, RECORDING, SHARES
 from services.detect.cameras import Camera
 from services.detect.markers import MarkerDetector, open_detector
 from services.detect.markers.base import Grey
@@ -23,8 +24,9 @@ from services.detect.tracking import Tracker
 class DetectService:
     """One detect process; several share the cameras by camera, never by frame.
 
-    Always the newest frame of a camera, and the cameras in turn: of those that have a frame waiting, the
-    one that was served longest ago is next. While none waits, frames that were only followed are searched.
+    Always the newest frame of a camera (while it is recorded, its next one), and the cameras in turn: of those that
+    have a frame waiting, the one that was served longest ago is next. While none waits, frames that were only followed
+    are searched.
     """
 
     def __init__(self, context: Context) -> None:
@@ -51,7 +53,8 @@ class DetectService:
         self._thorough: MarkerDetector = open_detector(markers, folder, thorough=True, detector=chosen)
         self._publisher = Publisher(context.endpoints, context.id, context.boot)
         self._subscriber = Subscriber(context.endpoints)
-        for topic in (FRAME, CAMERA, SHARES):
+        self._subscriber.subscribe(FRAME, every=True)
+        for topic in (CAMERA, SHARES, RECORDING):
             self._subscriber.subscribe(topic)
         self._poller = Poller(self._subscriber)
 
@@ -123,6 +126,8 @@ class DetectService:
                     self._camera(ref.camera).announced(ref, now)
                 case CameraState() as state:
                     self._hear_camera(state, now)
+                case RecordingState(camera=name, ledger=ledger):
+                    self._camera(name).recorded(ledger.phase == "running", now)
                 case Shares() as shares:
                     self._shares = shares
                     self._hand_over()

@@ -87,6 +87,17 @@ def test_every_message_of_an_every_topic_comes_in_order(bus: Bus, proxy: Proxy) 
     assert (subscriber.bad, subscriber.missed, subscriber.superseded) == (0, {}, {})
 
 
+def test_who_wants_every_message_of_a_latest_topic_gets_them(bus: Bus, proxy: Proxy) -> None:
+    publisher, subscriber = bus.publisher(), bus.subscriber(FRAME)
+    subscriber.subscribe(FRAME, every=True)
+    bus.connect(publisher, subscriber)
+    for number in range(1, 21):
+        publisher.publish(FRAME, ("cam0",), frame(number))
+    got = collect(subscriber, 20)
+    assert [number_of(received.message) for received in got] == list(range(1, 21))
+    assert (subscriber.bad, subscriber.missed, subscriber.superseded) == (0, {}, {})
+
+
 def test_of_a_latest_topic_only_the_newest_of_each_key_comes(bus: Bus, proxy: Proxy) -> None:
     publisher, subscriber = bus.publisher(), bus.subscriber(FRAME)
     bus.connect(publisher, subscriber)

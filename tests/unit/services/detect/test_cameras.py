@@ -10,7 +10,7 @@ import pytest
 from common.frames import FrameWriter, segment_name
 from common.labels import CameraLabel
 from common.messages import CameraState, FrameRef
-from services.detect.cameras import GONE_AFTER_NS, Camera
+from services.detect.cameras import GONE_AFTER_NS, MOST_WAITING, Camera
 from tests.support.hygiene import Place
 
 SLOTS = 4
@@ -63,6 +63,46 @@ def test_the_newest_frame_is_taken_and_the_others_are_counted(camera: Camera) ->
     assert camera.skipped.total == 0
     assert take(camera, ref(9)) is not None
     assert camera.skipped.as_dict() == {"superseded": 5}
+
+
+def test_frames_of_a_recorded_camera_wait_their_turn(camera: Camera) -> None:
+    camera.recorded(True, NOW)
+    for frame in range(1, MOST_WAITING + 1):
+        camera.announced(ref(frame), NOW)
+    assert [taken_of(camera) for _ in range(2)] == [1, 2]
+    camera.announced(ref(6), NOW)
+    assert [taken_of(camera) for _ in range(4)] == [3, 4, 5, 6]
+    assert not camera.ready
+    assert camera.skipped.total == 0
+
+
+def test_a_recorded_camera_whose_frames_pile_up_goes_on_with_the_newest(camera: Camera) -> None:
+    camera.recorded(True, NOW)
+    assert take(camera, ref(1)) is not None
+    for frame in range(2, MOST_WAITING + 3):
+        camera.announced(ref(frame), NOW)
+    assert taken_of(camera) == MOST_WAITING + 2
+    assert not camera.ready
+    assert camera.skipped.as_dict() == {"superseded": MOST_WAITING}
+
+
+def test_after_a_recording_only_the_newest_frame_is_of_interest_again(camera: Camera) -> None:
+    camera.recorded(True, NOW)
+    camera.recorded(False, NOW)
+    for frame in (1, 2):
+        camera.announced(ref(frame), NOW)
+    assert taken_of(camera) == 2
+    camera.recorded(True, NOW)
+    later = NOW + 10_000_000_000  # its label process has died meanwhile
+    for frame in (3, 4):
+        camera.announced(ref(frame), later)
+    assert taken_of(camera) == 4
+
+
+def taken_of(camera: Camera) -> int:
+    taken = camera.next(NOW, SLOTS)
+    assert taken is not None
+    return taken.frame
 
 
 def test_an_older_announcement_does_not_replace_or_repeat(camera: Camera) -> None:
