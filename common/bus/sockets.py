@@ -39,9 +39,8 @@ def new_socket(
 def drain(made: Socket, limit: int) -> Iterator[list[bytes]]:
     """The messages that are there, at most ``limit``, without waiting."""
     for _ in range(limit):
-        if (
-            not int(made.getsockopt(zmq.EVENTS)) & _READABLE
-        ):  # cheaper than the exception, which every drain would end with
+        # Cheaper than the exception that every drain would end with.
+        if not int(made.getsockopt(zmq.EVENTS)) & _READABLE:
             return
         try:
             yield made.recv_multipart(zmq.NOBLOCK)
