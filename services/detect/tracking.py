@@ -92,13 +92,8 @@ class Tracker:
 
     def look_around(self, grey: Grey) -> None:
         """Search the frame that ``detect`` has just followed, for the sake of the next ones."""
-        known = self._tracks
-        self._tracks = []
-        for one in self._search(grey):
-            same = [track for track in known if track.seen.id == one.id]
-            nearest = min(same, key=lambda track: _apart(track.seen, one), default=None)
-            near = nearest is not None and _apart(nearest.seen, one) < SAME_MARKER_SIDES * _side(one)
-            self._tracks.append(_Track(one, nearest.velocity if near and nearest is not None else np.zeros((4, 2))))
+        seen = [(one, self._track_of(one)) for one in self._search(grey)]
+        self._tracks = [_Track(one, np.zeros((4, 2)) if track is None else track.velocity) for one, track in seen]
 
     def _search(self, grey: Grey) -> list[DetectedMarker]:
         found = self._detector.detect(grey)
@@ -119,11 +114,16 @@ class Tracker:
 
     def _velocity(self, marker: DetectedMarker) -> Array:
         """How the marker's corners moved since the last frame; 0 for one that wasn't known."""
-        corners = np.array(marker.corners)
-        before = [np.array(track.seen.corners) for track in self._tracks if track.seen.id == marker.id]
-        moved = [corners - known for known in before]
-        nearest = min(moved, key=lambda one: float(np.abs(one).max()), default=np.zeros((4, 2)))
-        return nearest if np.abs(nearest).max() < SAME_MARKER_SIDES * _side(marker) else np.zeros((4, 2))
+        track = self._track_of(marker)
+        return np.zeros((4, 2)) if track is None else np.array(marker.corners) - np.array(track.seen.corners)
+
+    def _track_of(self, marker: DetectedMarker) -> _Track | None:
+        """The known marker that this one is: of those with its id the nearest, if it is near enough."""
+        same = [track for track in self._tracks if track.seen.id == marker.id]
+        nearest = min(same, key=lambda track: _apart(track.seen, marker), default=None)
+        if nearest is None or _apart(nearest.seen, marker) >= SAME_MARKER_SIDES * _side(marker):
+            return None
+        return nearest
 
 
 def _side(marker: DetectedMarker) -> float:
