@@ -1,6 +1,6 @@
 """No search for garbage while a service imports and opens: there is none, and looking takes a seventh of its start.
 
-A service's ``__main__`` imports this before all else; ``common.service.memory.keep_all`` ends it.
+``common.first`` imports this before all else; ``common.service.memory.keep_all`` ends it.
 """
 
 import gc

@@ -1,6 +1,6 @@
 """Signals that come while a service is still importing: kept for the runner, instead of ending the process unheard.
 
-A service's ``__main__`` imports this before all else. A supervisor may stop what it started a moment ago; ended on
+``common.first`` imports this before all else. A supervisor may stop what it started a moment ago; ended on
 the spot, the new process would leave behind what it was about to clear: the remains of a killed predecessor.
 """
 

@@ -2,7 +2,7 @@
 
 import sys
 
-from common import early_gc, early_signals, one_thread  # noqa: F401 - first: garbage, signals, threads
+import common.first  # noqa: F401 - garbage, signals, threads: before all else
 from common.service import main
 from services.label.service import LabelService
 
