@@ -42,7 +42,7 @@ test: $(STAMP) ## everything but the long runs (under 10 minutes on 2 cores)
 	$(BIN)/python -m pytest -m 'not long' -n 4
 
 test-long: $(STAMP) $(OTHER_STAMP) $(LOADERS_STAMP) ## the long runs, all others on OpenCV 5, and those that ask others' loaders
-	$(BIN)/python -m pytest -m 'long and not loaders'
+	$(BIN)/python -m pytest -m 'long and not loaders' -n 2
 	$(LOADERS_VENV)/bin/python -m pytest -m loaders tests/loaders
 	$(OTHER_VENV)/bin/python -m pytest -m 'not long' -n 2
 
