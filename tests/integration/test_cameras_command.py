@@ -10,22 +10,23 @@ from typing import Any
 import cv2
 import pytest
 
+from tests.support.rigs import SIDES, box
 from tests.support.stack import Stack, write_rig
 from tests.support.supervised import run_module
 
 pytestmark = [pytest.mark.process, pytest.mark.timeout(300)]
 
-RIG = """\
+RIG = (
+    """\
 objects:
-  - name: box-1
-    size_mm: {width: 400, height: 300, depth: 300}
-    sides:
-      front: {marker: 0, marker_size_mm: 150, border_mm: 15}
-      left:  {marker: 1, marker_size_mm: 150, border_mm: 15}
+"""
+    + box(sides=SIDES[:2])
+    + """\
 cameras:
   cam0: {driver: synthetic, width: 320, height: 240, fps: 10, prerendered: 4}
   gone: {driver: files, path: nowhere}
 """
+)
 
 
 def cameras(*words: str) -> tuple[int, dict[str, Any]]:

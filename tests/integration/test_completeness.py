@@ -16,35 +16,26 @@ from common.dataset import SessionReader
 from common.messages import DetectedMarker, Detections, FrameAnnounced, FrameRef, Truth
 from common.topics import DETECTIONS, FRAME, TRUTH
 from services.label.sightings import GAP_NS, SEEN_NS
+from tests.support.rigs import box
 from tests.support.stack import Stack, wait_for
 from tools.cli import main
 
 pytestmark = pytest.mark.process
 
-RIG = """\
+RIG = (
+    """\
 dataset: {root: ./dataset, session: complete, keep_original: true}
 objects:
-  - name: box-1
-    size_mm: {width: 400, height: 300, depth: 300}
-    sides:
-      front: {marker: 0, marker_size_mm: 150, border_mm: 15}
-      left:  {marker: 1, marker_size_mm: 150, border_mm: 15}
-      right: {marker: 2, marker_size_mm: 150, border_mm: 15}
-      back:  {marker: 3, marker_size_mm: 150, border_mm: 15}
-      top:   {marker: 4, marker_size_mm: 150, border_mm: 15}
-  - name: box-2
-    size_mm: {width: 400, height: 300, depth: 300}
-    sides:
-      front: {marker: 10, marker_size_mm: 150, border_mm: 15}
-      left:  {marker: 11, marker_size_mm: 150, border_mm: 15}
-      right: {marker: 12, marker_size_mm: 150, border_mm: 15}
-      back:  {marker: 13, marker_size_mm: 150, border_mm: 15}
-      top:   {marker: 14, marker_size_mm: 150, border_mm: 15}
+"""
+    + box()
+    + box("box-2", first=10)
+    + """\
 cameras:
   cam0: {driver: synthetic, width: 640, height: 360, fps: 10, markers: false}
 pose: {ambiguous: keep}
 ring: {slots: 8, samples: 16}
 """
+)
 
 
 class Overlooking:

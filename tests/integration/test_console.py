@@ -21,24 +21,23 @@ from websockets.exceptions import ConnectionClosed, InvalidStatus
 from websockets.sync.client import ClientConnection, connect
 from websockets.typing import Origin
 
+from tests.support.rigs import SIDES, box
 from tests.support.stack import ServiceProcess, Stack, write_rig
 
 pytestmark = pytest.mark.process
 
-RIG = """\
+RIG = (
+    """\
 dataset: {root: ./dataset, session: test}
 objects:
-  - name: box-1
-    size_mm: {width: 400, height: 300, depth: 300}
-    sides:
-      front: {marker: 0, marker_size_mm: 150, border_mm: 15}
-      left:  {marker: 1, marker_size_mm: 150, border_mm: 15}
-      right: {marker: 2, marker_size_mm: 150, border_mm: 15}
-      back:  {marker: 3, marker_size_mm: 150, border_mm: 15}
+"""
+    + box(sides=SIDES[:4])
+    + """\
 cameras:
   cam0: {driver: synthetic, width: 640, height: 360, fps: 6, burn_frame: true}
 ring: {slots: 12, samples: 4}
 """
+)
 WAIT_S = 40.0
 Plain = dict[str, Any]
 

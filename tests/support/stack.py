@@ -19,6 +19,7 @@ from common.config.models import NetworkConfig
 from common.messages import ServiceState
 from common.topics import SERVICE, Topic
 from tests.support.hygiene import SETTLE_S, Place, processes_of
+from tests.support.rigs import SIDES, box
 
 ROOT = Path(__file__).resolve().parents[2]
 START_S = 30.0
@@ -26,19 +27,19 @@ STOP_S = 15.0
 
 T = TypeVar("T")
 
-RIG = """\
+RIG = (
+    """\
 dataset: {root: ./dataset, session: test}
 objects:
-  - name: box-1
-    size_mm: {width: 400, height: 300, depth: 300}
-    sides:
-      front: {marker: 0, marker_size_mm: 100, border_mm: 15}
-      left:  {marker: 1, marker_size_mm: 100, border_mm: 15}
+"""
+    + box(marker_size_mm=100, sides=SIDES[:2])
+    + """\
 cameras:
   cam0: {driver: synthetic, width: 320, height: 240, fps: 10}
   cam1: {driver: synthetic, width: 320, height: 240, fps: 10, seed: 2}
 ring: {slots: 6, samples: 4}
 """
+)
 
 
 def write_rig(folder: Path, text: str = RIG) -> Path:

@@ -18,6 +18,7 @@ from common.bus import CommandClient, Endpoints, Poller
 from common.config.models import NetworkConfig
 from common.dataset import SessionReader
 from common.errors import TagmillError
+from tests.support.rigs import box
 from tests.support.stack import ROOT, wait_for
 from tools.stack.programs import SOCKET_FILE
 from tools.stack.running import running_stack, wait_ready
@@ -26,19 +27,16 @@ from tools.stack.supervisor import Supervisor
 DEADLINE_S = 90.0
 """How long a test waits for a process to come back or a stack to be ready, on a machine that is busy."""
 
-OBJECT = """\
+OBJECT = (
+    """\
 objects:
-  - name: box-1
-    size_mm: {width: 400, height: 300, depth: 300}
-    sides:
-      front: {marker: 0, marker_size_mm: 150, border_mm: 15}
-      left:  {marker: 1, marker_size_mm: 150, border_mm: 15}
-      right: {marker: 2, marker_size_mm: 150, border_mm: 15}
-      back:  {marker: 3, marker_size_mm: 150, border_mm: 15}
-      top:   {marker: 4, marker_size_mm: 150, border_mm: 15}
+"""
+    + box()
+    + """\
 pose: {ambiguous: keep}
 record: {incomplete: keep}
 """
+)
 """A box that any frame of the synthetic camera can be recorded of."""
 
 NO_PAGE = OBJECT + "network: {console: null}\n"
