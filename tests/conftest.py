@@ -15,6 +15,7 @@ from tests.support.hygiene import Place, own_place
 from tests.support.stack import ServiceProcess, Stack
 
 ROOT = Path(__file__).resolve().parents[1]
+LONG_S = 900
 
 # A property doesn't fail because the machine is slow just now.
 settings.register_profile("tagmill", deadline=None)
@@ -87,6 +88,13 @@ def pytest_xdist_make_scheduler(config: pytest.Config, log: Any) -> Any:
             return "::".join((file, *names[:1])) if len(names) > 1 else nodeid
 
     return Together(config, log)
+
+
+def pytest_collection_modifyitems(items: list[pytest.Item]) -> None:
+    """A long run may take a quarter of an hour on a busy machine, where it names no limit of its own."""
+    for item in items:
+        if item.get_closest_marker("long") and not item.get_closest_marker("timeout"):
+            item.add_marker(pytest.mark.timeout(LONG_S))
 
 
 @pytest.hookimpl(wrapper=True)
