@@ -83,14 +83,14 @@ def check(image: np.ndarray, data: bytes) -> None:
 @BOTH
 @pytest.mark.parametrize("depth", [False, True], ids=["colour", "depth"])
 @pytest.mark.parametrize("kind", ["noise", "flat", "ramp"])
-@pytest.mark.parametrize("size", [(1, 1), (3, 5), (48, 64), (240, 321)])
+@pytest.mark.parametrize("size", [(1, 1), (1, 2), (3, 5), (48, 64), (240, 320), (240, 321)])
 def test_any_reader_gets_the_very_pixels(
     without: tuple[str, ...], depth: bool, kind: str, size: tuple[int, int], tmp_path: Path
 ) -> None:
     image = picture(kind, *size, depth)
     data = png.encode_png(image)
     check(image, data)
-    if PNGFIX is not None and size == (240, 321):
+    if PNGFIX is not None and size[0] == 240:
         (tmp_path / "it.png").write_bytes(data)
         done = subprocess.run([PNGFIX, "--quiet", str(tmp_path / "it.png")], capture_output=True, text=True, timeout=60)
         assert (done.returncode, done.stdout) == (0, ""), "libpng has nothing to complain of"
@@ -114,11 +114,21 @@ def test_which_encoder_serves(without: tuple[str, ...]) -> None:
     assert (
         png.encoders()
         == {
-            (): {"colour": "fpng", "depth": "isal"},
-            ("_FPNG",): {"colour": "isal", "depth": "isal"},
-            ("_FPNG", "_ISAL"): {"colour": "cv2", "depth": "cv2"},
+            (): {"colour": "fpng", "noisy depth": "fpng", "smooth depth": "isal"},
+            ("_FPNG",): {"colour": "isal", "noisy depth": "isal", "smooth depth": "isal"},
+            ("_FPNG", "_ISAL"): {"colour": "cv2", "noisy depth": "cv2", "smooth depth": "cv2"},
         }[without]
     )
+
+
+def test_noisy_depth_is_quicker_by_fpng_and_smooth_depth_by_isal() -> None:
+    noisy = picture("noise", 96, 128, True) & 31
+    smooth = picture("flat", 96, 128, True)
+    smooth[4::8] = noisy[4::8]
+    rows = zlib.decompress(chunks(png.encode_png(noisy))[b"IDAT"])
+    assert rows[257] == 2, "fpng's filter: minus the pixel above"
+    assert set(chunks(png.encode_png(noisy))) == {b"IHDR", b"IDAT", b"IEND"}, "nothing that only fpng reads"
+    assert zlib.decompress(chunks(png.encode_png(smooth))[b"IDAT"])[257] == 1, "minus the pixel to the left"
 
 
 @pytest.mark.parametrize(
