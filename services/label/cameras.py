@@ -15,6 +15,7 @@ from common.messages import MARKERS, CameraState, Detections, FrameRef
 
 _MARGIN = 3
 """Slots of the ring that are about to be overwritten count as gone."""
+_TURNS = 3
 _REMEMBERED = 16
 GONE_AFTER_NS = 60_000_000_000
 """A camera whose process has said nothing for so long is gone for good; should it come back, it is a new one."""
@@ -35,6 +36,7 @@ class Camera:
         self.labelled_ns = 0
         self.last_frame_ns = 0
         self._slots = slots
+        self._turns_ns: deque[int] = deque(maxlen=_TURNS)
         self._reader: FrameReader | None = None
         self._heard_ns = clock.monotonic_ns()
         self._held_since_ns: int | None = None
@@ -69,8 +71,24 @@ class Camera:
         return tuple(self._others.get((ref.boot, ref.frame), {}).values())
 
     def alive(self, ref: FrameRef) -> bool:
-        """Whether the frame is still safely in the ring, as far as the newest announcement tells."""
-        return self.newest - ref.frame < self._slots - _MARGIN
+        """Whether the frame will still be in the ring once it is labelled, as far as is known now.
+
+        The camera goes on meanwhile, as it has since it was last heard of. Labelling takes as long as it did lately, at
+        the least: one slow turn is no reason to give frames up.
+        """
+        ahead_ns = min(self._turns_ns, default=0)
+        if not self.state.paced:
+            ahead_ns += clock.monotonic_ns() - self.last_frame_ns
+        return self.newest - ref.frame + int(ahead_ns * self.state.fps / 1e9) < self._slots - _MARGIN
+
+    @contextmanager
+    def turn(self) -> Iterator[Detections]:
+        """Take the frame that waits longest; its labelling is the block."""
+        began_ns = clock.monotonic_ns()
+        detections = self.waiting.popleft()
+        self.recent.append(detections)
+        yield detections
+        self._turns_ns.append(clock.monotonic_ns() - began_ns)
 
     def moment(self, ref: FrameRef) -> int | None:
         """When in its stream the frame was taken (ns); None where a frame says nothing about the next.

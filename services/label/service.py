@@ -247,9 +247,8 @@ class LabelService:
             self._dropped.add("superseded")
             self._recorder.dropped(passed)
         if camera.waiting:
-            detections = camera.waiting.popleft()
-            camera.recent.append(detections)
-            self._frame(camera, detections)
+            with camera.turn() as detections:
+                self._frame(camera, detections)
 
     def _hold(self, camera: Camera) -> bool:
         """A paced camera waits for its label, so its frame is held back while no sample slot is free."""

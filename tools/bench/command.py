@@ -15,6 +15,7 @@ BENCHES = {
     "render": "tools.bench.render",
     "console": "tools.bench.console",
     "record": "tools.bench.record",
+    "stall": "tools.bench.stall",
     "chaos": "tools.bench.chaos.command",
     "bus": "tools.bench.bus.command",
     "torn": "tools.bench.torn",

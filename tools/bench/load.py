@@ -17,7 +17,6 @@ from collections.abc import Iterator
 from contextlib import contextmanager
 from dataclasses import asdict, dataclass
 from pathlib import Path
-from typing import Self
 
 import yaml
 
@@ -29,6 +28,7 @@ from tools.bench.load_counter import CameraLoad, LoadCounter
 from tools.bench.load_hops import Hop
 from tools.bench.load_table import print_growth, print_load
 from tools.bench.processes import Usage, usage_between, usage_now
+from tools.bench.record_orders import RecordOrders
 from tools.stack.running import running_stack, wait_ready
 
 _WARM_UP_S = 4.0
@@ -143,7 +143,7 @@ def measure(rig: Path, cameras: int, args: argparse.Namespace) -> Load:
         before = usage_now(pids)
         recording = _start(client, names[: args.record])
         stall_s = min(_STALL_S, args.seconds * 2 / 3) if args.stall_store else 0.0
-        with _Records(endpoints, names if args.stall_store else []) as records, _stalled(pids["store"], stall_s):
+        with RecordOrders(endpoints, names if args.stall_store else []) as records, _stalled(pids["store"], stall_s):
             counter.listen(args.seconds)
         usage = usage_between(before, usage_now(pids))
         outcomes = records.outcomes + Counter(_stop(client, recording))
@@ -188,36 +188,3 @@ def _stalled(pid: int, seconds: float) -> Iterator[None]:
     finally:
         timer.cancel()
         os.kill(pid, signal.SIGCONT)
-
-
-class _Records:
-    """Gives record orders one after the other for the length of a block, and counts what they were answered."""
-
-    def __init__(self, endpoints: Endpoints, cameras: list[str]) -> None:
-        self.outcomes: Counter[str] = Counter()
-        self._over = threading.Event()
-        self._thread = threading.Thread(target=self._give, args=(endpoints, cameras), name="records")
-
-    def __enter__(self) -> Self:
-        self._thread.start()
-        return self
-
-    def __exit__(self, *_: object) -> None:
-        self._over.set()
-        self._thread.join(30)
-
-    def _give(self, endpoints: Endpoints, cameras: list[str]) -> None:
-        client = CommandClient(endpoints, timeout_s=10.0)
-        try:
-            number = 0
-            while cameras and not self._over.wait(0.5):
-                request = {"command": "record", "camera": cameras[number % len(cameras)], "timeout_s": 2.0}
-                number += 1
-                try:
-                    answer = client.request(request)
-                except TagmillError as error:
-                    self.outcomes[f"no answer ({error.code})"] += 1
-                    continue
-                self.outcomes["stored" if answer["ok"] else f"refused: {answer['error']['code']}"] += 1
-        finally:
-            client.close()

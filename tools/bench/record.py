@@ -23,7 +23,7 @@ from typing import Any
 import numpy as np
 
 from common import clock
-from common.bus import CommandClient, Endpoints, Poller
+from common.bus import CommandClient, Endpoints
 from common.config import load_rig
 from common.config.dataset import DatasetConfig
 from common.dataset import SessionReader
@@ -33,6 +33,7 @@ from tools.bench.processes import Usage, usage_between, usage_now
 from tools.bench.record_rig import CAMERA, FPS, SESSION, render, save_for_script, write_rig
 from tools.bench.record_steps import Steps
 from tools.bench.record_table import print_disk, print_record
+from tools.bench.settled import settled
 from tools.stack.running import running_stack, wait_ready
 
 ROUNDS = 3
@@ -233,14 +234,7 @@ class _Stack:
 
     def _settled(self, recording: str) -> dict[str, Any]:
         """Stop, and wait until all of it is durable; the camera's account."""
-        stopped = self._client.request({"command": "stop", "recording": recording}, timeout_s=_SETTLE_S)
-        ledger = stopped["ledgers"][0] if stopped["ok"] else None
-        pause, end = Poller(), clock.monotonic_ns() + int(_SETTLE_S * 1e9)
-        while ledger is None or ledger["phase"] != "ended":
-            if clock.monotonic_ns() > end:
-                raise TagmillError(f"what was recorded was not durable after {_SETTLE_S:g} s: {ledger}")
-            pause.wait(0.1)
-            ledger = self._client.request({"command": "ledger", "recording": recording}).get("ledger")
+        ledger = settled(self._client, recording, _SETTLE_S)
         account: dict[str, Any] = ledger["cameras"][CAMERA]
         return account
 
