@@ -14,7 +14,8 @@ DEFAULT_PREFIX = "tagmill"
 MAX_PATH_BYTES = 107
 """Room for a path in a Unix socket address (108 bytes, the last is 0)."""
 
-_LONGEST_NAME = "orders-label.99"
+_LONGEST_NAME = "supervisor.sock.4194304"
+"""supervisord binds its socket under a name that ends in its process id (22 bits at most), then renames it."""
 
 
 @dataclass(frozen=True, slots=True)

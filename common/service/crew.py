@@ -7,8 +7,6 @@ ever for one that hangs, and leaves semaphores behind when the service is killed
 from __future__ import annotations
 
 import os
-import signal
-import traceback
 from collections import deque
 from collections.abc import Callable, Iterator
 from contextlib import suppress
@@ -19,27 +17,20 @@ from multiprocessing.process import BaseProcess
 from typing import Generic, TypeVar
 
 from common import clock, log
-from common.log import Level
-from common.service.memory import keep_all
-from common.service.parent import die_with_parent
+from common.service.worker import Failure, Told, serve
 
 J = TypeVar("J")
 R = TypeVar("R")
 
+__all__ = ["Crew", "Failure"]
+
 _SPAWN = get_context("spawn")  # a fork would take the service's sockets, threads and locks along
 _AHEAD = 2
-"""Jobs a worker holds: the one it works on and the next, so that it doesn't wait for the service's loop."""
+"""Jobs a worker holds: the one it works on and the next, so that it doesn't wait for the service's loop. An urgent one
+is given to it beyond them, and is done before the next."""
 _END_S = 2.0
 _START_NS = 60_000_000_000
 """An interpreter that starts on a busy machine doesn't hang yet."""
-
-
-@dataclass(frozen=True)
-class Failure:
-    """A job without a result. ``fault``: ``exception`` (a bug: ``what`` is its traceback), ``died`` or ``hung``."""
-
-    fault: str
-    what: str
 
 
 @dataclass
@@ -60,6 +51,19 @@ class _Worker(Generic[J]):
     hung: bool = False
     over: bool = False
 
+    def give(self, task: _Task[J]) -> None:
+        """Hand a task over; an urgent one is next after the one at hand."""
+        if not self.tasks:
+            self.begun_ns = clock.monotonic_ns()
+        at = next((place for place, other in enumerate(self.tasks) if place and not other.first), len(self.tasks))
+        self.tasks.insert(at if task.first else len(self.tasks), task)
+        with suppress(ConnectionError):  # dead: `finished` reads that from its pipe, and the task is not lost
+            self.pipe.send(Told(log.level(), task.key, task.job, task.first))
+
+    def ended(self, key: str) -> None:
+        """The task is done. Not always the first: an urgent one may have come when the next was begun already."""
+        self.tasks.remove(next(task for task in self.tasks if task.key == key))
+
 
 class Crew(Generic[J, R]):
     """Up to ``workers`` processes that do ``work(job)``. One a thread; nothing here waits, except ``close``.
@@ -70,7 +74,10 @@ class Crew(Generic[J, R]):
     ``work`` and ``prepare`` are module-level functions; ``prepare(*prepared_with)`` runs once in each worker. A job
     whose worker died under it is done again until it has cost ``deaths`` workers; one that takes longer than
     ``limit_s`` has its worker killed, which counts as a death. The worker's next job is not blamed. A dead worker's
-    place is filled when it is surely gone: two never work on one job.
+    place is filled when it is surely gone: two never work on one job. (A job that is begun just as an urgent one comes
+    can have that one blamed for its end.)
+
+    Workers are niced by ``nice``, but for urgent jobs (``first``).
 
     A worker ends with the thread that made the crew, and has a process group of its own: a signal to the service's
     group is for the service, which then drains. It logs as the service does, at its level of the moment (``worker.job``
@@ -84,11 +91,12 @@ class Crew(Generic[J, R]):
         prepared_with: tuple[object, ...] = (),
         *,
         workers: int = 1,
+        nice: int = 0,
         deaths: int = 3,
         limit_s: float = 30.0,
     ) -> None:
         self._start_with = (work, prepare, prepared_with)
-        self._most = workers
+        self._most, self._nice = workers, nice
         self._deaths, self._limit_ns = deaths, int(limit_s * 1e9)
         self._waiting: deque[_Task[J]] = deque()
         self._given_up: list[tuple[str, Failure]] = []
@@ -113,7 +121,7 @@ class Crew(Generic[J, R]):
     def submit(self, key: str, job: J, *, first: bool = False) -> None:
         """Queue a job; ``key`` comes back with its result. ``first``: before all that wait, behind those of its kind.
 
-        What a worker holds already, the job at hand and its next, comes before it.
+        Only the job that a worker has at hand comes before it, and the worker does it at full priority.
         """
         at = next((place for place, other in enumerate(self._waiting) if not other.first), len(self._waiting))
         self._waiting.insert(at if first else len(self._waiting), _Task(key, job, first=first))
@@ -147,27 +155,22 @@ class Crew(Generic[J, R]):
 
     def _started(self) -> _Worker[J]:
         ours, its = _SPAWN.Pipe()
-        told = (its, os.getpid(), log.service(), log.level())
-        process = _SPAWN.Process(target=_serve, args=(*told, *self._start_with), daemon=True)
+        told = (its, os.getpid(), log.service(), log.level(), self._nice)
+        process = _SPAWN.Process(target=serve, args=(*told, *self._start_with), daemon=True)
         process.start()
         its.close()
         return _Worker(process, ours, begun_ns=clock.monotonic_ns())
 
     def _hand_out(self) -> None:
         while self._waiting:
-            free = [worker for worker in self._workers if not worker.over and len(worker.tasks) < _AHEAD]
+            most = _AHEAD + self._waiting[0].first
+            free = [worker for worker in self._workers if not worker.over and len(worker.tasks) < most]
             if not free:
                 if all(worker.ready for worker in self._workers):
                     more = min(self._most - len(self._workers), len(self._waiting))
                     self._workers += [self._started() for _ in range(more)]
                 return
-            worker = min(free, key=lambda item: len(item.tasks))
-            task = self._waiting.popleft()
-            if not worker.tasks:
-                worker.begun_ns = clock.monotonic_ns()
-            worker.tasks.append(task)
-            with suppress(ConnectionError):  # dead: `finished` reads that from its pipe, and the task is not lost
-                worker.pipe.send((log.level(), task.key, task.job))
+            min(free, key=lambda item: len(item.tasks)).give(self._waiting.popleft())
 
     def _heard(self, worker: _Worker[J]) -> Iterator[tuple[str, R | Failure]]:
         while not worker.over and worker.pipe.poll(0):
@@ -178,7 +181,9 @@ class Crew(Generic[J, R]):
                 return
             worker.begun_ns = clock.monotonic_ns()
             if worker.ready:
-                yield worker.tasks.popleft().key, said
+                key, result = said
+                worker.ended(key)
+                yield key, result
             worker.ready = True  # its first word
 
     def _bury(self, worker: _Worker[J]) -> None:
@@ -198,7 +203,7 @@ class Crew(Generic[J, R]):
                 fault = "hung" if worker.hung else "died"
                 what = f"took longer than {self._limit_ns / 1e9:g} s" if worker.hung else "its worker died"
                 self._given_up.append((tasks.pop(0).key, Failure(fault, f"{what}, {self._deaths} times")))
-        self._waiting.extendleft(reversed(tasks))
+        self._waiting = deque(sorted((*tasks, *self._waiting), key=lambda task: not task.first))
 
     def _fill_places(self) -> None:
         """A worker that died before it was ready is replaced when there is work again, so that none dies in a loop."""
@@ -206,37 +211,3 @@ class Crew(Generic[J, R]):
             if worker.over and worker.process.exitcode is not None and (worker.ready or self._waiting):
                 worker.process.close()
                 self._workers[place] = self._started()
-
-
-def _serve(
-    pipe: Connection,
-    parent: int,
-    service: str | None,
-    level: Level,
-    work: Callable[[J], R],
-    prepare: Callable[..., None],
-    prepared_with: tuple[object, ...],
-) -> None:
-    """A worker's life."""
-    os.setpgid(0, 0)
-    signal.signal(signal.SIGINT, signal.SIG_IGN)
-    if not die_with_parent(parent, signal.SIGKILL):
-        os._exit(1)
-    if service is not None:
-        log.setup(service, level)
-    prepare(*prepared_with)
-    keep_all()
-    with suppress(EOFError, ConnectionError):  # the service has closed the pipe: nothing more to do
-        pipe.send(None)
-        while True:
-            level, key, job = pipe.recv()
-            if level != log.level():  # the service's, which `tagmill log` may have changed
-                log.set_level(level)
-            begun_ns = clock.monotonic_ns()
-            try:
-                result: R | Failure = work(job)
-            except Exception:  # noqa: BLE001 - a bug met by one job is told and costs that job, not the worker
-                result = Failure("exception", traceback.format_exc())
-            log.get().debug("worker.job", job=key, pid=os.getpid(), took_ms=(clock.monotonic_ns() - begun_ns) / 1e6)
-            pipe.send(result)
-    log.shutdown()

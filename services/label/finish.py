@@ -5,7 +5,6 @@ The worker gets a job by value and the pixels by the slot of a sample ring, in w
 
 from __future__ import annotations
 
-import os
 from collections.abc import Iterator
 from dataclasses import dataclass
 
@@ -95,7 +94,7 @@ class Finisher:
             crew.close()
 
     def _crew_for(self, rig: Rig) -> Crew[Job, Finished]:
-        return Crew(_finish, _prepare, (rig,), workers=rig.config.workers.finish, limit_s=_LIMIT_S)
+        return Crew(_finish, _prepare, (rig,), workers=rig.config.workers.finish, nice=_NICE, limit_s=_LIMIT_S)
 
 
 class _Worker:
@@ -120,9 +119,8 @@ _worker: _Worker | None = None
 
 
 def _prepare(rig: Rig) -> None:
-    """Make this process a worker: low priority, one thread."""
+    """Make this process a worker, which computes in one thread."""
     global _worker
-    os.nice(_NICE)
     cv2.setNumThreads(1)
     keep_freed_memory()
     _worker = _Worker(rig)

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import os
 import time
 from collections import OrderedDict
 from collections.abc import Container
@@ -24,7 +23,7 @@ from services.store.encode import LOSSLESS, Coding
 from services.store.sample import is_stored, pictures_for, write_sample
 
 PIXELS_GONE = "pixels_gone"
-_NICE = 5
+NICE = 5
 _MOST_RINGS = 16
 
 
@@ -62,8 +61,7 @@ class Turn:
 
 
 def prepare() -> None:
-    """Make this process a worker."""
-    os.nice(_NICE)
+    """Make this process a worker, which computes in one thread."""
     cv2.setNumThreads(1)
     keep_freed_memory()
 

@@ -10,7 +10,7 @@ from structlog.typing import FilteringBoundLogger
 
 from common.messages import ErrorInfo
 from common.service.crew import Crew, Failure
-from services.store.worker import Turn, WriteJob, Written, prepare, write
+from services.store.worker import NICE, Turn, WriteJob, Written, prepare, write
 
 WORKER_DIED = "worker_died"
 BUG = "failed"
@@ -18,7 +18,8 @@ _MOST_DEATHS = 4
 _LIMIT_S = 300.0
 """A disk that stalls for minutes may come back; what a worker wrote before it was killed is removed or adopted."""
 _AHEAD = 1
-"""Jobs beyond one a worker that are handed out, so that no worker waits for the loop."""
+"""Jobs beyond one a worker that are handed out, so that no worker waits for the loop; an urgent one goes
+beyond these."""
 
 
 @dataclass(frozen=True)
@@ -39,7 +40,9 @@ class Writer:
         self._waiting: deque[_Task] = deque()
         self._tasks: dict[str, _Task] = {}
         self._next = 0
-        self._crew: Crew[Turn, Written] = Crew(write, prepare, workers=workers, deaths=_MOST_DEATHS, limit_s=_LIMIT_S)
+        self._crew: Crew[Turn, Written] = Crew(
+            write, prepare, workers=workers, nice=NICE, deaths=_MOST_DEATHS, limit_s=_LIMIT_S
+        )
 
     @property
     def sockets(self) -> tuple[int, ...]:
@@ -74,12 +77,12 @@ class Writer:
         self._crew.close()
 
     def _hand_out(self) -> None:
-        while self._waiting and len(self._tasks) < self._most:
+        while self._waiting and len(self._tasks) < self._most + self._waiting[0].first:
             task = self._waiting.popleft()
             needed = frozenset(other.job.ring for other in (*self._waiting, *self._tasks.values()))
             key, self._next = str(self._next), self._next + 1
             self._tasks[key] = task
-            self._crew.submit(key, Turn(task.job, self._reserve, self._delay_s, needed))
+            self._crew.submit(key, Turn(task.job, self._reserve, self._delay_s, needed), first=task.first)
 
     def _explained(self, task: _Task, result: Written | Failure) -> Written:
         if isinstance(result, Written):

@@ -56,11 +56,12 @@ def test_a_path_too_long_for_a_socket_says_what_to_set(monkeypatch: pytest.Monke
 
 
 def test_the_longest_allowed_path_can_really_be_bound(monkeypatch: pytest.MonkeyPatch, place: Place) -> None:
-    room = 107 - len(f"{place.run_root}//orders-label.99")
+    longest = "supervisor.sock.4194304"  # supervisord binds under this name, with its process id
+    room = 107 - len(f"{place.run_root}//{longest}")
     monkeypatch.setenv("TAGMILL_PREFIX", "x" * room)
     endpoints = Endpoints.of(NetworkConfig())
     endpoints.prepare()
-    OrderServer(endpoints.orders_label(99), StoreSideOrder).close()
+    OrderServer(endpoints.ipc(longest), StoreSideOrder).close()
     monkeypatch.setenv("TAGMILL_PREFIX", "x" * (room + 1))
     with pytest.raises(ConfigError, match="108 bytes"):
         Endpoints.of(NetworkConfig())

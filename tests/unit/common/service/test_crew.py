@@ -6,7 +6,7 @@ import json
 import os
 import signal
 from collections.abc import Iterator
-from contextlib import closing
+from contextlib import closing, contextmanager, suppress
 from pathlib import Path
 
 import psutil
@@ -43,6 +43,21 @@ def results(crew: Crew[str | int, int], count: int) -> dict[str, int | Failure]:
     return got
 
 
+@contextmanager
+def held_open(fifo: Path) -> Iterator[None]:
+    """Hold up who reads it, once somebody does."""
+    opened: list[int] = []
+
+    def is_read() -> bool:
+        with suppress(OSError):  # ENXIO: nobody reads yet
+            opened.append(os.open(fifo, os.O_WRONLY | os.O_NONBLOCK))
+        return bool(opened)
+
+    wait_for(is_read, ENOUGH_S, "the worker's beginning")
+    yield
+    os.close(opened[0])
+
+
 def test_each_job_has_one_result(crew: Crew[str | int, int]) -> None:
     for number in range(20):
         crew.submit(f"job-{number}", number)
@@ -63,15 +78,28 @@ def test_further_workers_start_when_jobs_wait_and_stay(crew: Crew[str | int, int
     assert crew.pids[0] == first
 
 
-def test_what_is_urgent_goes_before_all_that_waits(place: Place) -> None:
+def test_what_is_urgent_is_next_after_the_job_at_hand(place: Place, tmp_path: Path) -> None:
+    os.mkfifo(tmp_path / "pipe")
     with closing(Crew(crew_jobs.work, crew_jobs.prepare, (1000,), workers=1)) as crew:
-        for number in range(5):
-            crew.submit(f"job-{number}", number)
-        for number in (10, 11):
-            crew.submit(f"urgent-{number}", number, first=True)
+        crew.submit("at-hand", f"until {tmp_path / 'pipe'}")
+        with held_open(tmp_path / "pipe"):
+            for number in range(4):
+                crew.submit(f"job-{number}", number)
+            for number in (10, 11):
+                crew.submit(f"urgent-{number}", number, first=True)
         order = list(results(crew, 7))
-    # The worker held two already.
-    assert order == ["job-0", "job-1", "urgent-10", "urgent-11", "job-2", "job-3", "job-4"]
+    # The second urgent one is sent when there is room for it: the worker may have begun its next job by then.
+    assert order[:2] == ["at-hand", "urgent-10"]
+    assert order.index("urgent-11") in (2, 3)
+    assert [key for key in order if key.startswith("job")] == ["job-0", "job-1", "job-2", "job-3"]
+
+
+def test_workers_are_niced_but_for_what_is_urgent(place: Place) -> None:
+    own = os.getpriority(os.PRIO_PROCESS, 0)
+    with closing(Crew(crew_jobs.work, crew_jobs.prepare, (0,), nice=5)) as crew:
+        crew.submit("ordinary", "nice")
+        crew.submit("urgent", "nice", first=True)
+        assert results(crew, 2) == {"ordinary": min(own + 5, 19), "urgent": own}
 
 
 def test_a_bug_costs_its_job_and_no_worker(crew: Crew[str | int, int]) -> None:
@@ -102,6 +130,16 @@ def test_a_job_that_kills_its_workers_is_given_up_and_no_other(crew: Crew[str | 
 def test_a_job_whose_worker_was_killed_by_others_is_done_again(crew: Crew[str | int, int], tmp_path: Path) -> None:
     crew.submit("unlucky", f"once {tmp_path / 'mark'}")
     assert results(crew, 1) == {"unlucky": 1000}
+    assert crew.replaced == 1
+
+
+def test_an_urgent_job_whose_worker_was_killed_is_done_again_before_the_others(
+    crew: Crew[str | int, int], tmp_path: Path
+) -> None:
+    for number in range(4):
+        crew.submit(f"job-{number}", number)
+    crew.submit("unlucky", f"once {tmp_path / 'mark'}", first=True)
+    assert results(crew, 5) == {"unlucky": 1000} | {f"job-{number}": 1000 + number for number in range(4)}
     assert crew.replaced == 1
 
 
