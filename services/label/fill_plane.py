@@ -61,31 +61,37 @@ def _ground(values: Floats, weights: Floats) -> Floats:
     known = share > 0.6
     if known.sum() < 12:
         known = share > 0.02
-    trend, trust = _robust_trend(mean, known)
+    places = np.flatnonzero(known)
+    seen = np.ascontiguousarray(mean.reshape(-1, 3).take(places, axis=0).T)
+    trend, trust = _robust_trend(seen, places, known.shape)
     # Beyond what was seen a quadratic goes anywhere.
-    low, high = mean[known].min(axis=0), mean[known].max(axis=0)
-    whole = np.clip(trend + membrane(mean - trend, trust), low, high)
+    whole = trend + membrane(mean - trend, trust)
+    np.clip(whole, seen.min(axis=1), seen.max(axis=1), out=whole)
     return np.asarray(cv2.resize(whole, (width, height), interpolation=cv2.INTER_LINEAR), dtype=np.float32)
 
 
-def _robust_trend(mean: Floats, known: Mask) -> tuple[Floats, Floats]:
-    """A quadratic through most of the known cells, and by how much each cell belongs to it (Tukey's biweight)."""
-    basis = _quadratics(*known.shape)
-    at, seen = basis[:, known], np.ascontiguousarray(mean[known].T, dtype=np.float64)
+def _robust_trend(seen: Floats, places: NDArray[np.intp], shape: tuple[int, ...]) -> tuple[Floats, Floats]:
+    """A quadratic (rows, columns, 3) through most of the cells, and by how much (rows, columns) each belongs to it.
+
+    ``seen`` (3, N) are the known cells' colours, ``places`` (N,) which of the grid's (rows, columns) cells they are.
+    Weighted by Tukey's biweight.
+    """
+    basis = _quadratics(*shape).reshape(6, -1)
+    at, colours = basis.take(places, axis=1), seen.astype(np.float64)
     # Begins at the colour that most of the surroundings have, then lets the quadratic bend step by step.
-    residual = seen - np.array([[median(channel)] for channel in seen])
+    residual = colours - np.array([[median(channel)] for channel in colours])
     for terms in (1, 3, 6, 6):
         spread = (residual * residual).sum(axis=0)  # squared, as is its scale
         scale = max(median(spread), _LEAST_SCALE**2)
         trust = np.maximum(1.0 - spread / (_TUKEY**2 * scale), 0.0) ** 2
         weighted = at[:terms] * trust
         normal = weighted @ at[:terms].T + 1e-3 * np.eye(terms)
-        solution = np.linalg.solve(normal, weighted @ seen.T)
-        residual = seen - solution.T @ at[:terms]
-    belongs = np.zeros(known.shape, dtype=np.float32)
-    belongs[known] = trust
-    trend = basis.reshape(6, -1).T @ solution
-    return trend.reshape(mean.shape).astype(np.float32), belongs
+        solution = np.linalg.solve(normal, weighted @ colours.T)
+        residual = colours - solution.T @ at[:terms]
+    belongs = np.zeros(shape, dtype=np.float32)
+    belongs.ravel()[places] = trust
+    trend = basis.T @ solution
+    return trend.reshape(*shape, 3).astype(np.float32), belongs
 
 
 @lru_cache(maxsize=64)

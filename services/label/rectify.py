@@ -34,8 +34,8 @@ class Grid:
 
     def look(self, bgr: Picture, sources: Mask) -> tuple[Floats, Picture]:
         """The picture seen through the grid: colours (h, w, 3) float32, zero where no source is, and 255 where one."""
-        mask = sources.view(np.uint8) * np.uint8(255)
-        both = cv2.merge([*cv2.split(bgr), mask])
+        both = cv2.cvtColor(bgr, cv2.COLOR_BGR2BGRA)
+        cv2.insertChannel(sources.view(np.uint8) * np.uint8(255), both, 3)
         both = cv2.warpPerspective(both, self.to_pixel, self.size, flags=cv2.INTER_LINEAR | cv2.WARP_INVERSE_MAP)
         _, seen = cv2.threshold(cv2.extractChannel(both, 3), 250, 255, cv2.THRESH_BINARY)
         values = cv2.cvtColor(both, cv2.COLOR_BGRA2BGR)

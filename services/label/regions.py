@@ -17,9 +17,9 @@ from numpy.typing import NDArray
 from common.geometry import Box, BoxSide, CameraModel, MarkerOnSide, Pose
 from common.geometry.camera import NEAR_MM
 from common.labels import ErasedPolygon, LeftOut, ObjectLabel, Quad
-from services.label.surfaces import Region, Surface, surface_of_corners, surface_of_pose
+from services.label.surfaces import PlacedBox, Region, Surface, surface_of_corners, surface_of_pose
 from services.label.visibility import marker_angle, marker_hidden
-from services.label.windows import clip_near, points
+from services.label.windows import along_sides, clip_near, points
 
 Array = NDArray[np.float64]
 
@@ -32,7 +32,7 @@ GRAZING_DEG = 91.0
 UNKNOWN_BORDER = 0.2
 """Border of a marker that the rig file doesn't know, as a share of its size: a little over one cell."""
 _UNIT = np.array([[-0.5, 0.5], [0.5, 0.5], [0.5, -0.5], [-0.5, -0.5]])
-_ALONG = np.linspace(0.0, 1.0, 4, endpoint=False)
+_ALONG = 4
 """Points along each side: through a lens, straight edges are bent."""
 _AROUND = np.array([(np.cos(a), np.sin(a)) for a in np.arange(8) * np.pi / 4]) / np.cos(np.pi / 8)
 
@@ -94,14 +94,16 @@ class _Placed:
 
 
 def _posed_markers(objects: Sequence[ObjectLabel], boxes: Sequence[Box], camera: CameraModel) -> list[_Placed]:
-    posed = _posed(objects, boxes)
+    posed = [PlacedBox(box, pose, camera) for box, pose in _posed(objects, boxes)]
     slack = {label.name: _slack_px(label) for label in objects}
     found = []
-    for box, pose in posed:
-        others = [(other, at) for other, at in posed if other is not box]
+    for placed in posed:
+        box, pose = placed.box, placed.pose
+        others = [other for other in posed if other.box is not box]
+        hiding = [(other.box, other.pose) for other in others]
         for side, marker in box.markers():
-            if _may_show(pose, box, side, marker) and not marker_hidden(pose, box, side, marker, others):
-                surface = surface_of_pose(box, side, marker, pose, camera, others)
+            if _may_show(pose, box, side, marker) and not marker_hidden(pose, box, side, marker, hiding):
+                surface = surface_of_pose(placed, side, marker, others)
                 if surface is not None and slack[box.name] > SURE_PX:
                     surface = replace(surface, depth_row=None)
                 middle = camera.project(pose.apply(box.marker_pose(side, marker).translation))[0][0]
@@ -170,7 +172,7 @@ def _outline_of_corners(
         return _grown(np.array(corners, dtype=np.float64), MIN_MARGIN_PX)
 
     def at(widen: float) -> Array | None:
-        flat = _sides(_UNIT * (1 + 2 * widen))
+        flat = along_sides(_UNIT * (1 + 2 * widen), _ALONG)
         xyz = np.column_stack([flat, np.ones(len(flat))]) @ to_rays.T
         sign = np.sign(to_rays[2, 2])  # the marker's centre lies in front
         return _projected(xyz * sign * 1000.0, camera)
@@ -184,17 +186,10 @@ def _outline_of_pose(placed: _Placed, margin: float, slack_px: float, camera: Ca
 
     def at(widen_mm: float) -> Array | None:
         corners = clip_near(pose.apply(box.marker_corners(side, marker, widen_mm)))
-        return _projected(_sides(corners), camera) if len(corners) else None
+        return _projected(along_sides(corners, _ALONG), camera) if len(corners) else None
 
     widened = at(marker.border_mm + margin * marker.size_mm)
     return _with_margin(at(marker.border_mm), widened, placed.surface, MIN_MARGIN_PX + slack_px)
-
-
-def _sides(corners: Array) -> Array:
-    """Points along the sides of a polygon (N, 2 or 3)."""
-    following = np.roll(corners, -1, axis=0)
-    steps = corners[:, None, :] + (following - corners)[:, None, :] * _ALONG[None, :, None]
-    return np.asarray(steps.reshape(-1, corners.shape[1]))
 
 
 def _projected(xyz: Array, camera: CameraModel) -> Array | None:

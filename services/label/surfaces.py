@@ -2,22 +2,26 @@
 
 from __future__ import annotations
 
+import math
+from collections.abc import Sequence
 from dataclasses import dataclass
+from functools import cached_property
 
 import cv2
 import numpy as np
 from numpy.typing import NDArray
 
 from common.geometry import FACES, Box, BoxSide, CameraModel, MarkerOnSide, Pose
-from common.labels import ErasedPolygon, Quad
+from common.labels import ErasedPolygon, FaceName, Quad
 from services.label.visibility import viewing_angle
-from services.label.windows import clip_near
+from services.label.windows import along_sides, clip_near
 
 Array = NDArray[np.float64]
 _SQUARE = np.array([[-1.0, 1.0, 0.0], [1.0, 1.0, 0.0], [1.0, -1.0, 0.0], [-1.0, -1.0, 0.0]])
 _WORST_CONDITION = 1e9
 """Of a homography; that of a marker on a side, from mm to pixels, has some 1e6."""
-_ALONG = np.linspace(0.0, 1.0, 8, endpoint=False)
+_ALONG = 8
+"""Points along each edge of an outline: through a lens, straight edges are bent."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -48,33 +52,72 @@ class Region:
     surface: Surface | None = None
 
 
+@dataclass(frozen=True, eq=False)
+class PlacedBox:
+    """A box where a pose puts it, and what the camera sees of it; looked at once, however many markers it carries."""
+
+    box: Box
+    pose: Pose
+    camera: CameraModel
+
+    def outline(self, face: FaceName) -> Array | None:
+        """A face's edge (N, 2) px, also of one that is turned away; None where too little lies before the camera."""
+        if face not in self._outlines:
+            corners = self.pose.apply(self.box.face_polygon(face))
+            self._outlines[face] = _outline(corners, self.camera)
+        return self._outlines[face]
+
+    def beside(self, face: FaceName) -> tuple[Array, ...]:
+        """The outlines of the other faces that are turned to the camera."""
+        seen = (self.outline(other) for other in self._turned_here if other != face)
+        return tuple(outline for outline in seen if outline is not None)
+
+    @cached_property
+    def hull(self) -> Array | None:
+        """The outline (N, 2) px of all of it."""
+        pixels, front = self.camera.project(self.pose.apply(self.box.corners))
+        if front.sum() < 3:
+            return None
+        bounded = np.clip(pixels[front], -3e4, 3e4).astype(np.float32)
+        return np.asarray(cv2.convexHull(bounded), dtype=np.float64).reshape(-1, 2)
+
+    @cached_property
+    def distance_mm(self) -> float:
+        """Of its origin."""
+        return math.hypot(*self.pose.translation)
+
+    @cached_property
+    def _outlines(self) -> dict[FaceName, Array | None]:
+        return {}
+
+    @cached_property
+    def _turned_here(self) -> tuple[FaceName, ...]:
+        box, pose = self.box, self.pose
+        return tuple(face for face in FACES if viewing_angle(pose, face, box.face_pose(face).translation) < 90.0)
+
+
 def surface_of_pose(
-    box: Box, side: BoxSide, marker: MarkerOnSide, pose: Pose, camera: CameraModel, others: list[tuple[Box, Pose]]
+    placed: PlacedBox, side: BoxSide, marker: MarkerOnSide, others: Sequence[PlacedBox] = ()
 ) -> Surface | None:
     """The surface of a configured marker; None where it reaches behind the camera."""
-    on_box = box.marker_pose(side, marker)
+    box = placed.box
     # Axes of the side, not of a marker that was stuck on askew: what is printed on a side follows the side.
-    frame = pose.after(Pose(box.face_pose(side.face).rotation, on_box.translation))
+    frame = placed.pose.after(Pose(box.face_pose(side.face).rotation, box.marker_pose(side, marker).translation))
     half = marker.size_mm / 2 + marker.border_mm
-    pixels, front = camera.project(frame.apply(_SQUARE * half))
+    pixels, front = placed.camera.project(frame.apply(_SQUARE * half))
     if not front.all():
         return None
     to_pixel = _homography(_SQUARE[:, :2] * half, pixels)
     if to_pixel is None:
         return None
-    distance = float(np.linalg.norm(frame.translation))
+    before = (other.hull for other in others if other.distance_mm < placed.distance_mm)
     return Surface(
         to_pixel=to_pixel,
-        outline=_outline(pose.apply(box.face_polygon(side.face)), camera),
-        beside=_other_sides(box, side, pose, camera),
-        nearer=tuple(
-            outline
-            for other, at in others
-            if np.linalg.norm(at.translation) < np.linalg.norm(pose.translation)
-            and (outline := _hull_of(other, at, camera)) is not None
-        ),
+        outline=placed.outline(side.face),
+        beside=placed.beside(side.face),
+        nearer=tuple(hull for hull in before if hull is not None),
         depth_row=np.array([frame.rotation[2, 0], frame.rotation[2, 1], frame.translation[2]]),
-        distance_mm=distance,
+        distance_mm=math.hypot(*frame.translation),
     )
 
 
@@ -88,7 +131,10 @@ def _homography(plane: Array, pixels: Array) -> Array | None:
     if not np.isfinite(pixels).all() or abs(cv2.contourArea(pixels.astype(np.float32))) < 1.0:
         return None
     found = cv2.getPerspectiveTransform(plane.astype(np.float32), pixels.astype(np.float32))
-    if not np.isfinite(found).all() or np.linalg.cond(found) > _WORST_CONDITION:
+    if not np.isfinite(found).all():
+        return None
+    scales, _, _ = cv2.SVDecomp(found, flags=cv2.SVD_NO_UV)
+    if not float(scales[0, 0]) <= _WORST_CONDITION * float(scales[2, 0]):
         return None
     return np.asarray(found, dtype=np.float64)
 
@@ -98,24 +144,5 @@ def _outline(corners: Array, camera: CameraModel) -> Array | None:
     cut = clip_near(corners)
     if len(cut) < 3:
         return None
-    following = np.roll(cut, -1, axis=0)
-    steps = cut[:, None, :] + (following - cut)[:, None, :] * _ALONG[None, :, None]
-    pixels, front = camera.project(steps.reshape(-1, 3))
+    pixels, front = camera.project(along_sides(cut, _ALONG))
     return np.clip(pixels[front], -3e4, 3e4) if front.sum() >= 3 else None
-
-
-def _other_sides(box: Box, side: BoxSide, pose: Pose, camera: CameraModel) -> tuple[Array, ...]:
-    seen = (
-        _outline(pose.apply(box.face_polygon(face)), camera)
-        for face in FACES
-        if face != side.face and viewing_angle(pose, face, box.face_pose(face).translation) < 90.0
-    )
-    return tuple(outline for outline in seen if outline is not None)
-
-
-def _hull_of(box: Box, pose: Pose, camera: CameraModel) -> Array | None:
-    pixels, front = camera.project(pose.apply(box.corners))
-    if front.sum() < 3:
-        return None
-    bounded = np.clip(pixels[front], -3e4, 3e4).astype(np.float32)
-    return np.asarray(cv2.convexHull(bounded), dtype=np.float64).reshape(-1, 2)

@@ -83,12 +83,24 @@ def clip_near(polygon: Array) -> Array:
     if polygon[:, 2].min(initial=np.inf) >= NEAR_MM:
         return polygon
     kept: list[Array] = []
-    for here, there in zip(polygon, np.roll(polygon, -1, axis=0), strict=True):
+    for here, there in zip(polygon, following(polygon), strict=True):
         if here[2] >= NEAR_MM:
             kept.append(here)
         if (here[2] >= NEAR_MM) != (there[2] >= NEAR_MM):
             kept.append(_at_near(here, there))
     return np.array(kept, dtype=np.float64).reshape(-1, 3)
+
+
+def following(polygon: Array) -> Array:
+    """The points of a polygon (N, D), each in the place of the one before it."""
+    return np.concatenate([polygon[1:], polygon[:1]])
+
+
+def along_sides(corners: Array, count: int) -> Array:
+    """``count`` points along each side of a polygon (N, D), evenly from its corner on: (count N, D)."""
+    shares = np.arange(count)[None, :, None] / count
+    steps = corners[:, None, :] + (following(corners) - corners)[:, None, :] * shares
+    return np.asarray(steps.reshape(-1, corners.shape[1]))
 
 
 def points(pixels: Array) -> tuple[Point, ...]:

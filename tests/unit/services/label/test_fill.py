@@ -12,6 +12,7 @@ from hypothesis import strategies as st
 
 from common.config.models import InpaintConfig
 from common.labels import ErasedPolygon
+from services.label.grain import grain
 from services.label.inpaint import METHODS, Crop, erase, mask_of
 from services.label.surfaces import Region, Surface, surface_of_corners
 
@@ -120,6 +121,20 @@ def test_the_fill_is_as_grainy_as_the_picture():
     truth = picture.astype(float)[hole()].std(axis=0)
     assert (np.abs(plane / truth - 1) < 0.15).all()
     assert (smooth < 0.3 * truth).all()
+
+
+def test_grain_is_as_strong_where_its_blocks_meet_as_within_them():
+    noise = np.random.default_rng(3).normal(128, 4.0, (240, 240, 3))
+    picture = np.clip(np.rint(noise), 0, 255).astype(np.uint8)
+    texture = grain(picture, np.ones(picture.shape[:2], dtype=bool), (600, 500), seed=0)
+    assert texture.shape == (500, 600, 3)
+    for size in ((1, 1), (8, 9), (13, 24)):
+        assert grain(picture, np.ones(picture.shape[:2], dtype=bool), size, seed=0).shape == (size[1], size[0], 3)
+    spread = texture.std()
+    for axis in (0, 1):
+        # In blocks' edges, which repeat every so many pixels, no row or column stands out.
+        by_place = [np.take(texture, np.arange(start, 500, 12), axis).std() for start in range(12)]
+        assert max(abs(np.array(by_place) / spread - 1)) < 0.03
 
 
 def test_the_same_every_time_and_nothing_outside_is_touched():
