@@ -8,14 +8,12 @@ from pathlib import Path
 import zmq
 import zmq.utils.z85
 
-from common import log
 from common.bus.door import Door
 from common.bus.keys import authorized_keys
 from common.bus.sockets import Socket, new_socket
 from common.errors import ConfigError
 from common.refusals import Refusals
 
-_LOG = log.get()
 _ZAP = "inproc://zeromq.zap.01"
 _STOP = b"stop"
 _JOIN_S = 5.0
@@ -80,16 +78,19 @@ class Gatekeeper:
 
     def _verdict(self, request: list[bytes]) -> tuple[bytes, ...]:
         version, request_id, *_ = [*request, b"", b""]
-        known = len(request) == _PARTS_OF_CURVE_REQUEST and request[5] == b"CURVE" and self._knows(request[6])
-        if known:
+        reason = self._fault(request)
+        if reason is None:
             return version, request_id, b"200", b"OK", b"client", b""
         address = request[3].decode("ascii", "replace") if len(request) > 3 else "?"
-        self._refusals.note(address, "its key is not in authorized/")
+        self._refusals.note(address, reason)
         return version, request_id, b"400", b"not authorized", b"", b""
 
-    def _knows(self, key: bytes) -> bool:
+    def _fault(self, request: list[bytes]) -> str | None:
+        """Why whoever asks isn't let in; None if he is."""
+        if len(request) != _PARTS_OF_CURVE_REQUEST or request[5] != b"CURVE":
+            return "it has no key"
         try:
-            return zmq.utils.z85.encode(key) in authorized_keys(self._folder)
+            known = zmq.utils.z85.encode(request[6]) in authorized_keys(self._folder)
         except (ConfigError, ValueError) as error:
-            _LOG.warning("commands.keys_unreadable", reason=str(error))
-            return False
+            return str(error)
+        return None if known else "its key is not in authorized/"

@@ -68,7 +68,8 @@ class Ping(_Said):
     t: Literal["ping"]
 
 
-_SAID: TypeAdapter[Hello | Watch | Ack | Ping] = TypeAdapter(Hello | Watch | Ack | Ping)
+SAID: TypeAdapter[Hello | Watch | Ack | Ping] = TypeAdapter(Hello | Watch | Ack | Ping)
+"""What a page may say."""
 
 
 class ShownView:
@@ -148,7 +149,7 @@ class Viewer:
 
     def _hear(self, text: str) -> None:
         try:
-            said = _SAID.validate_json(text)
+            said = SAID.validate_json(text)
         except ValidationError:
             self.end("that is no message of this protocol")
             return

@@ -9,11 +9,13 @@ import contextlib
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass, field
 from pathlib import Path
+from types import SimpleNamespace
 from typing import get_args
 
 import cv2
 import msgpack
 import numpy as np
+from pydantic import ValidationError
 
 from common.boards.file import read_board
 from common.bounded import parse_json
@@ -34,8 +36,10 @@ from common.topics import TOPICS
 from services.capture.cameras.azure_calibration import read_calibration as read_azure
 from services.capture.cameras.base import FrameSkippedError
 from services.capture.cameras.pictures import exif_orientation, read_depth, read_picture
+from services.capture.cameras.ros_images import COMPRESSED, RAW, colour_of, depth_of
 from services.console.guard import Guard, rules_for
 from services.console.server import address_of
+from services.console.viewer import SAID
 from services.control.parsing import parse
 from services.store.records import Records
 from tests.support.samples import label_for
@@ -263,6 +267,30 @@ def _picture(folder: Path, data: bytes) -> None:
     exif_orientation(data)
 
 
+# --- recordings
+
+
+def _ros_image(_: Path, data: bytes) -> None:
+    """A message whose fields say what they like of the bytes that follow."""
+    words = [*data.split(b"|", 4), b"", b"", b"", b""]
+    encoding, height, width, step = (word.decode("latin-1") for word in words[:4])
+    sizes = {"height": int(height or 0), "width": int(width or 0), "step": int(step or 0)}
+    pixels = np.frombuffer(words[4], dtype=np.uint8)
+    image = SimpleNamespace(encoding=encoding, format=encoding, is_bigendian=0, data=pixels, **sizes)
+    for kind in (RAW, COMPRESSED):
+        for read in (lambda kind: colour_of(kind, image, "a"), lambda kind: depth_of(kind, image, 1.0, "a")):
+            with contextlib.suppress(FrameSkippedError):
+                read(kind)
+
+
+ROS_IMAGES = (
+    b"yuv422|2|4|8|" + bytes(16),
+    b"bgr8|2|2|6|" + bytes(12),
+    b"32FC1|1|2|8|" + bytes(8),
+    b"bayer_rggb8|4|4|4|" + bytes(16),
+    b"rgb8; jpeg compressed bgr8|0|0|0|" + cv2.imencode(".jpg", np.zeros((2, 2, 3), np.uint8))[1].tobytes(),
+)
+
 # --- the web
 
 REQUESTS = (
@@ -337,6 +365,24 @@ TARGETS: tuple[Target, ...] = (
         (b"/", b"..", b"\0", b"9" * 5000),
     ),
     Target("picture", _picture, tuple(_pictures()), (), PICTURE_WORDS),
+    Target(
+        "ros-image",
+        _ros_image,
+        ROS_IMAGES,
+        (ValueError,),  # of the target's own: a size that is no number
+        (b"|", b"4294967295", b"0", b"1", b"3", b"-1", b"yuyv", b"16UC1", b"mono8", b"compressedDepth"),
+    ),
+    Target(
+        "page",
+        lambda _, data: SAID.validate_json(data),
+        (
+            b'{"t": "hello", "v": 1}',
+            b'{"t": "watch", "views": [{"id": "a", "camera": "cam0", "kind": "live"}], "visible": true}',
+            b'{"t": "ack", "id": "a", "seq": 1}',
+        ),
+        (ValidationError,),
+        JSON_WORDS,
+    ),
     Target("web", _request, REQUESTS, (), (b"\x1f", b"127.0.0.1:8750", b"token=", b'"', b"\\", b";", b"/healthz")),
     Target(
         "address",

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import hashlib
-import json
 import os
 from collections import Counter
 from collections.abc import Callable, Sequence
@@ -12,6 +11,7 @@ from multiprocessing.connection import wait
 from pathlib import Path
 from typing import Any
 
+from common.bounded import parse_json, read_bytes
 from common.dataset import SessionFile, SessionReader, label_path, make_folder, write_json
 from common.dataset.derive import SESSION_EXISTS, making
 from common.dataset.derived_session import describe_session
@@ -29,6 +29,7 @@ RELABEL_FILE = "relabel.json"
 """In the new session: of what and by what it was made, so that a second run knows that nothing is to be done."""
 _ALONE = 8
 """Fewer samples are made before a second process has started."""
+_LARGEST_NOTE = 1 << 20
 _LIMIT_S = 300.0
 _LOOK_S = 1.0
 Tick = Callable[[], None]
@@ -190,6 +191,6 @@ def _digest(folder: Path, samples: Sequence[str]) -> str:
 def _note(folder: Path) -> object:
     """What an earlier run noted in a folder; None without such a note."""
     try:
-        return json.loads((folder / RELABEL_FILE).read_text(encoding="utf-8"))
+        return parse_json(read_bytes(folder / RELABEL_FILE, _LARGEST_NOTE))
     except (FileNotFoundError, ValueError):
         return None

@@ -53,7 +53,11 @@ def colour_of(kind: str, message: Any, name: str) -> Colour:
     if pixels.dtype.itemsize == 2:
         pixels = np.asarray(cv2.convertScaleAbs(pixels, alpha=255 / 65535))
     if conversion is not None:
-        pixels = np.asarray(cv2.cvtColor(pixels, conversion))
+        try:
+            pixels = np.asarray(cv2.cvtColor(pixels, conversion))
+        except cv2.error as error:  # two pixels share a colour in YUV 4:2:2, so an odd width can't be
+            size = f"{pixels.shape[1]}x{pixels.shape[0]}"
+            raise FrameSkippedError(f"{name} can't be {message.encoding} with {size} pixels", "unreadable") from error
     return np.ascontiguousarray(pixels, dtype=np.uint8)
 
 

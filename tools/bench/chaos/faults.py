@@ -80,7 +80,7 @@ def _stop(stack: Stack, fault: Fault) -> Iterator[None]:
 @contextmanager
 def _disk_full(stack: Stack, fault: Fault) -> Iterator[None]:
     free_kb = 0 if fault.target == "to the last byte" else RESERVE_MB * 500
-    stack.ground.resize_disk(free_kb)
+    until(lambda: _done(lambda: stack.ground.resize_disk(free_kb)), _BUSY_S, "the disk to become small")
     try:
         yield
     finally:
@@ -113,18 +113,20 @@ def _disk_slow(stack: Stack, fault: Fault) -> Iterator[None]:  # noqa: ARG001 - 
 
 @contextmanager
 def _read_only(stack: Stack, fault: Fault) -> Iterator[None]:  # noqa: ARG001
-    def done() -> bool | None:
-        try:
-            remount(stack.ground.disk, "ro")
-        except TagmillError:  # a file is being written this very moment
-            return None
-        return True
-
-    until(done, _BUSY_S, "the disk to become read-only")
+    until(lambda: _done(lambda: remount(stack.ground.disk, "ro")), _BUSY_S, "the disk to become read-only")
     try:
         yield
     finally:
         remount(stack.ground.disk, "rw")
+
+
+def _done(change: Callable[[], None]) -> bool | None:
+    """Whether the disk took a change; it refuses some while a file is being written."""
+    try:
+        change()
+    except TagmillError:
+        return None
+    return True
 
 
 def _free_name(stack: Stack) -> str:

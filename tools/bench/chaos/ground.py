@@ -109,7 +109,7 @@ class Ground:
             os.close(descriptor)
 
     def resize_disk(self, free_kb: int | None) -> None:
-        """Leave so much room on the disk, None: all that there was."""
+        """Leave so much room on the disk, None: all that there was; raises TagmillError if that is refused."""
         used_kb = -(-(shutil.disk_usage(self.disk).used) // 1024)
         size_kb = DISK_MB * 1024 if free_kb is None else max(used_kb + free_kb, 4)
         remount(self.disk, f"size={size_kb}k")

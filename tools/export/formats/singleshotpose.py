@@ -99,8 +99,9 @@ class SingleShotPose:
 
 
 def folder_name(name: str) -> str:
-    """A class as the name of a folder."""
-    return "".join(letter if letter.isalnum() or letter in "-_." else "_" for letter in name)
+    """A class as the name of a folder; never one that leads out of its place, as ``..`` does."""
+    plain = "".join(letter if letter.isalnum() or letter in "-_." else "_" for letter in name)
+    return plain if plain.strip(".") else "_" * max(len(plain), 1)
 
 
 def _row(target: Target, shot: Shot) -> str:

@@ -176,15 +176,18 @@ def test_lens_models(
 def test_damaged_messages_are_skipped_and_unknown_encodings_named(rig_of: RigOf, tmp_path: Path) -> None:
     grey = np.zeros((48, 64), np.uint8)
     with Bag("ros1", tmp_path / "recorded") as bag:
-        whole, odd, short = (bag.image(grey, name, 1) for name in ("mono8", "odd", "mono8"))
+        whole, odd, short, shared = (bag.image(grey, name, 1) for name in ("mono8", "odd", "mono8", "yuyv"))
         short.data = short.data[:100]
-        for number, message in enumerate((whole, odd, short, whole)):
+        shared.width = 31  # in YUV 4:2:2 two pixels share a colour
+        for number, message in enumerate((whole, odd, short, shared, whole)):
             bag.write("/cam/image", message, number)
     camera = opened(rig_of, bag.path)
     camera.grab(1.0)
     with pytest.raises(FrameSkippedError, match=r"#1 has the encoding odd; known are bgr8, "):
         camera.grab(1.0)
     with pytest.raises(FrameSkippedError, match="#2 is cut off: 100 bytes for 64x48 pixels"):
+        camera.grab(1.0)
+    with pytest.raises(FrameSkippedError, match="#3 can't be yuyv with 31x48 pixels"):
         camera.grab(1.0)
     camera.grab(1.0)
 

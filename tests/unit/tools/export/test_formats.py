@@ -27,6 +27,7 @@ from tests.support.recorded import (
 )
 from tests.unit.tools.export.conftest import Export, tree
 from tools.export.formats.bop_rules import check_bop
+from tools.export.formats.singleshotpose import folder_name
 from tools.export.registry import known_formats
 
 FORMATS = ("yolo", "yolo-pose", "yolo-obb", "yolo-segment", "coco", "bop", "kitti", "singleshotpose", "dope")
@@ -208,6 +209,13 @@ def test_empty_frames_one_class_spaces_and_umlauts(tmp_path: Path, export: Expor
     without = export(name, session, "--classes", "type", "--split", "none", "--no-background", out=tmp_path / "out")
     assert without["samples"] == {"train": 4}
     assert without["files"]["removed"] > 0
+
+
+@pytest.mark.parametrize(
+    ("name", "folder"), [("..", "__"), (".", "_"), ("../../x", ".._.._x"), ("für Äpfel", "für_Äpfel"), ("a.b", "a.b")]
+)
+def test_a_class_never_leads_out_of_its_folder(name: str, folder: str) -> None:
+    assert folder_name(name) == folder
 
 
 @pytest.mark.long
