@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import ctypes
-import importlib.util
 import os
 import platform
 import sys
@@ -19,13 +18,16 @@ from common.config import Rig
 from tools.doctor.finding import Finding, bad, good, warning
 
 EXTRAS = {
-    "console": ("fastapi", "the operator's web page"),
-    "fast": ("fpng_py", "PNG ten times as fast"),
-    "video": ("av", "videos frame by frame, Azure Kinect recordings"),
-    "bags": ("rosbags", "ROS bags"),
-    "apriltag": ("pupil_apriltags", "a second detector"),
-    "realsense": ("pyrealsense2", "RealSense cameras"),
-    "kinect2": ("pylibfreenect2", "Kinect v2"),
+    "console": "the operator's web page",
+    "fast": "PNG ten times as fast",
+    "video": "videos frame by frame, Azure Kinect recordings",
+    "bags": "ROS bags",
+    "apriltag": "a second detector",
+    "locus": "a third detector",
+    "realsense": "RealSense cameras",
+    "kinect2": "Kinect v2",
+    "view": "tagmill view",
+    "check": "others' loaders for export",
 }
 _OLDEST = 1_750_000_000
 """Seconds since the epoch: a clock before that was never set."""
@@ -59,11 +61,10 @@ def versions(_: Rig | None) -> Iterator[Finding]:
 def opencv(_: Rig | None) -> Iterator[Finding]:
     """Whether OpenCV is the one tagmill needs, and what it was built with."""
     build = cv2.getBuildInformation()
-    lacks = [name for name in ("aruco", "xphoto") if not hasattr(cv2, name)]
     found = f"OpenCV {cv2.__version__}"
-    if lacks:
+    if not hasattr(cv2, "aruco"):
         cure = "pip uninstall every opencv package, then pip install opencv-contrib-python-headless"
-        yield bad("OpenCV", f"{found} lacks {', '.join(lacks)}", cure)
+        yield bad("OpenCV", f"{found} lacks aruco", cure)
         return
     parts = {name: _built_with(build, name) for name in ("FFMPEG", "v4l/v4l2")}
     missing = [name for name, there in parts.items() if not there]
@@ -81,10 +82,19 @@ def _built_with(build: str, name: str) -> bool:
 
 def extras(_: Rig | None) -> Iterator[Finding]:
     """What can be installed in addition."""
-    there = [name for name, (module, _) in EXTRAS.items() if importlib.util.find_spec(module) is not None]
-    lacking = [f"{name} ({what})" for name, (_, what) in EXTRAS.items() if name not in there]
+    asked = [Requirement(text) for text in requires("tagmill") or []]
+    wanted = {name: [one for one in asked if one.marker and one.marker.evaluate({"extra": name})] for name in EXTRAS}
+    there = [name for name, packages in wanted.items() if packages and all(_fits(one) for one in packages)]
+    lacking = [f"{name} ({what})" for name, what in EXTRAS.items() if name not in there]
     words = f"installed: {', '.join(there) or 'none'}"
     yield good("extras", words + (f"; not: {', '.join(lacking)} - pip install 'tagmill[NAME]'" if lacking else ""))
+
+
+def _fits(wanted: Requirement) -> bool:
+    try:
+        return wanted.specifier.contains(version(wanted.name), prereleases=True)
+    except PackageNotFoundError:
+        return False
 
 
 def clocks(_: Rig | None) -> Iterator[Finding]:

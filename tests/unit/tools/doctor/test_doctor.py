@@ -7,6 +7,7 @@ import resource
 import socket
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
+from importlib.metadata import PackageNotFoundError, metadata
 from pathlib import Path
 from typing import Any
 
@@ -49,6 +50,23 @@ def test_a_rig_that_can_t_be_used_is_the_first_finding(tmp_path: Path, capsys: p
     first = json.loads(capsys.readouterr().out)["findings"][0]
     assert (first["about"], first["level"]) == ("rig", "bad")
     assert "tagmill check" in first["cure"]
+
+
+def test_the_extras_are_those_of_the_package_and_told_by_what_is_installed(monkeypatch: pytest.MonkeyPatch) -> None:
+    assert software.EXTRAS.keys() == set(metadata("tagmill").get_all("Provides-Extra") or ()) - {"dev"}
+    there = {"fpng": "0.1.0", "isal": "1.7.0", "av": "1.0"}
+
+    def version(name: str) -> str:
+        if name not in there:
+            raise PackageNotFoundError(name)
+        return there[name]
+
+    monkeypatch.setattr(software, "version", version)
+    found = told(software.extras)["extras"].found
+    assert found.startswith("installed: fast; not: ")
+    assert "video (" in found, "too old a version is none"
+    del there["isal"]
+    assert told(software.extras)["extras"].found.startswith("installed: none; ")
 
 
 def test_too_little_shared_memory(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
