@@ -31,19 +31,25 @@ class StepMeans:
     """The mean laps of the newest ``size`` pieces of work."""
 
     def __init__(self, size: int = 256) -> None:
-        self._newest: deque[Mapping[str, tuple[float, float]]] = deque(maxlen=size)
+        self._newest: deque[Mapping[str, tuple[float, float]]] = deque()
+        self._size = size
+        self._sums: dict[str, float] = {}  # kept up: who reports several times a second doesn't go through all of them
 
     def add(self, laps: Mapping[str, tuple[float, float]]) -> None:
         """One piece of work was done."""
         if laps:
             self._newest.append(laps)
+            self._count(laps, 1)
+            if len(self._newest) > self._size:
+                self._count(self._newest.popleft(), -1)
 
     def as_numbers(self) -> dict[str, float]:
         """``<step>_ms`` and ``<step>_cpu_ms`` of each step, for a report; empty before the first."""
         count = len(self._newest)
-        sums: dict[str, float] = {}
-        for laps in self._newest:
-            for step, (wall, cpu) in laps.items():
-                sums[f"{step}_ms"] = sums.get(f"{step}_ms", 0.0) + wall
-                sums[f"{step}_cpu_ms"] = sums.get(f"{step}_cpu_ms", 0.0) + cpu
-        return {name: total / count for name, total in sums.items()}
+        return {name: total / count for name, total in self._sums.items()}
+
+    def _count(self, laps: Mapping[str, tuple[float, float]], sign: int) -> None:
+        sums = self._sums
+        for step, (wall, cpu) in laps.items():
+            sums[f"{step}_ms"] = sums.get(f"{step}_ms", 0.0) + sign * wall
+            sums[f"{step}_cpu_ms"] = sums.get(f"{step}_cpu_ms", 0.0) + sign * cpu

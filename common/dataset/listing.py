@@ -6,30 +6,40 @@ the label's model: 10,000 labels take a second or two, not ten. A label that can
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator
+from collections import deque
+from collections.abc import Callable, Iterator, Mapping
 from pathlib import Path
 from sys import intern
 from typing import Any
 
 from common.bounded import parse_json
 from common.dataset.bin import bin_of, labelled
-from common.dataset.layout import BIN, PICTURES, label_path
+from common.dataset.layout import BIN, PICTURES, PictureKind, label_path
 from common.geometry import view_direction
 from common.ids import sample_camera, sample_captured_at, sample_frame
+from common.labels import Label
 from common.messages import SampleFilter, SampleItem, SampleList, SampleObject
 
 _MOST_BYTES = 700_000
 """Of an answer; orders may have 1 MiB."""
 
+_FAULTS = (ArithmeticError, ValueError, KeyError, TypeError, IndexError, AttributeError)
+"""What a label without sense in it may raise."""
+
 
 class SampleIndex:
-    """The samples of one session and its bin. Not for two threads at a time."""
+    """The samples of one session and its bin. Not for two threads at a time, but for ``add``."""
 
     def __init__(self, session: Path) -> None:
         self._session = session
         self._stored: dict[str, SampleItem] = {}
         self._binned: dict[str, SampleItem] = {}
         self._order: dict[bool, list[str]] = {}
+        self._added: deque[SampleItem] = deque()
+
+    def add(self, item: SampleItem) -> None:
+        """A sample that has just been stored, by whoever knows its label. From any thread."""
+        self._added.append(item)
 
     def build(self, stop: Callable[[], bool] = lambda: False) -> None:
         """Read all labels; ``stop`` is asked in between and ends it early. Raises OSError."""
@@ -40,6 +50,7 @@ class SampleIndex:
 
     def refresh(self, sample: str) -> None:
         """Look where a sample is now, and what its label says; raises OSError."""
+        self._take_added()
         self._order.clear()
         self._stored.pop(sample, None)
         self._binned.pop(sample, None)
@@ -53,6 +64,7 @@ class SampleIndex:
 
     def page(self, wanted: SampleFilter, offset: int, limit: int) -> SampleList:
         """The samples that match, the newest first, from ``offset`` on; fewer than ``limit`` if they are too large."""
+        self._take_added()
         items = self._binned if wanted.bin else self._stored
         matching = [items[name] for name in self._newest_first(wanted.bin) if fits(items[name], wanted)]
         page: list[SampleItem] = []
@@ -71,6 +83,12 @@ class SampleIndex:
             in_bin=len(self._binned),
             next_offset=end if page and end < len(matching) else None,
         )
+
+    def _take_added(self) -> None:
+        while self._added:
+            item = self._added.popleft()
+            self._stored[item.name] = item
+            self._order.clear()
 
     def _newest_first(self, binned: bool) -> list[str]:
         if binned not in self._order:
@@ -120,19 +138,33 @@ def item_of(sample: str, text: bytes, prefix: str = "") -> SampleItem:
     """A sample as it is listed, from its label file's text; ``prefix`` goes before its files' paths."""
     try:
         plain = parse_json(text)
-        return SampleItem.model_construct(
-            name=sample,
-            captured_at=str(plain["captured_at"]),
-            camera=intern(plain["camera"]["name"]),
-            frame=int(plain["frame"]),
-            recording=None if plain["recording"] is None else intern(plain["recording"]),
-            complete=bool(plain.get("complete", True)),
-            background=bool(plain["background"]),
-            objects=tuple(map(_object_of, plain["objects"])),
-            files=dict(_files_of(plain["files"], prefix)),
-        )
-    except (ArithmeticError, ValueError, KeyError, TypeError, IndexError, AttributeError):
+        return _item_of(sample, plain, dict(_files_of(plain["files"], prefix)))
+    except _FAULTS:
         return _unreadable(sample)
+
+
+def item_of_label(label: Label, files: Mapping[PictureKind, str]) -> SampleItem:
+    """The same of a label at hand; ``files``: its pictures' paths in the session."""
+    try:
+        return _item_of(
+            label.sample, label.model_dump(by_alias=True), {str(kind): path for kind, path in files.items()}
+        )
+    except _FAULTS:
+        return _unreadable(label.sample)
+
+
+def _item_of(sample: str, plain: dict[str, Any], files: dict[str, str]) -> SampleItem:
+    return SampleItem.model_construct(
+        name=sample,
+        captured_at=str(plain["captured_at"]),
+        camera=intern(plain["camera"]["name"]),
+        frame=int(plain["frame"]),
+        recording=None if plain["recording"] is None else intern(plain["recording"]),
+        complete=bool(plain.get("complete", True)),
+        background=bool(plain["background"]),
+        objects=tuple(map(_object_of, plain["objects"])),
+        files=files,
+    )
 
 
 def _object_of(plain: dict[str, Any]) -> SampleObject:

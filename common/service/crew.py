@@ -7,6 +7,7 @@ ever for one that hangs, and leaves semaphores behind when the service is killed
 from __future__ import annotations
 
 import os
+import select
 from collections import deque
 from collections.abc import Callable, Iterator
 from contextlib import suppress
@@ -45,6 +46,7 @@ class _Task(Generic[J]):
 class _Worker(Generic[J]):
     process: BaseProcess
     pipe: Connection
+    news: select.poll
     tasks: deque[_Task[J]] = field(default_factory=deque)
     begun_ns: int = 0
     ready: bool = False
@@ -159,7 +161,9 @@ class Crew(Generic[J, R]):
         process = _SPAWN.Process(target=serve, args=(*told, *self._start_with), daemon=True)
         process.start()
         its.close()
-        return _Worker(process, ours, begun_ns=clock.monotonic_ns())
+        news = select.poll()  # the pipe's own `poll` makes a new one at each call, and this one is asked all the time
+        news.register(ours.fileno(), select.POLLIN)
+        return _Worker(process, ours, news, begun_ns=clock.monotonic_ns())
 
     def _hand_out(self) -> None:
         while self._waiting:
@@ -173,7 +177,7 @@ class Crew(Generic[J, R]):
             min(free, key=lambda item: len(item.tasks)).give(self._waiting.popleft())
 
     def _heard(self, worker: _Worker[J]) -> Iterator[tuple[str, R | Failure]]:
-        while not worker.over and worker.pipe.poll(0):
+        while not worker.over and worker.news.poll(0):
             try:
                 said = worker.pipe.recv()
             except (EOFError, ConnectionError):

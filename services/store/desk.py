@@ -205,7 +205,7 @@ class OrderDesk:
             self.steps.add(written.laps)
             if self._keeper.book is not None:
                 self._keeper.book.sample_stored(order.recording, order.camera)
-            self._gallery.stored(order.key)
+            self._gallery.stored(order.label, written.pictures)
         self._finish(order, written.error)
 
     def _finish(self, order: StoreOrder, error: ErrorInfo | None) -> None:

@@ -7,7 +7,7 @@ thread of its own, so that neither samples nor the ledger ever wait for it.
 from __future__ import annotations
 
 import threading
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
 from concurrent.futures import Future
 from pathlib import Path
 from typing import Literal, TypeVar
@@ -17,10 +17,11 @@ from common.dataset import SESSION_FILE
 from common.dataset.bin import bin_of, delete, no_sample, restore
 from common.dataset.faults import explain
 from common.dataset.head import recording_of
-from common.dataset.layout import LABELS
-from common.dataset.listing import SampleIndex
+from common.dataset.layout import LABELS, PictureKind
+from common.dataset.listing import SampleIndex, item_of_label
 from common.errors import RefusedError, TagmillError
 from common.ids import sample_camera
+from common.labels import Label
 from common.messages import Answer, ErrorInfo, ListOrder, MoveOrder, NewestOrder, SampleList
 from services.store.accounts import Give
 from services.store.background import DiskThread
@@ -65,11 +66,17 @@ class Gallery:
         """End a reading that is under way."""
         self._stop.set()
 
-    def stored(self, sample: str) -> None:
-        """A sample became durable."""
+    def stored(self, label: Label, pictures: Mapping[PictureKind, str]) -> None:
+        """A sample became durable, with ``pictures`` at these paths; none: it was on the disk already."""
         session = self._keeper.session
-        if session is not None:
-            self._changed(session, "stored", (sample,))
+        if session is None:
+            return
+        if not pictures:
+            self._changed(session, "stored", (label.sample,))
+            return
+        self.follow()
+        self._index.add(item_of_label(label, pictures))  # its file needn't be read again
+        self._tell(session.book.name, "stored", (label.sample,))
 
     # --- orders -------------------------------------------------------------------------------------------
 

@@ -64,13 +64,19 @@ def write_sample(
         for kind, data in encoded.items():
             if kind == "original":  # made when it is first needed: `keep_original` may come with a reload
                 (session / kind).mkdir(exist_ok=True)
-            write_bytes(session / files[kind].path, data)
+            # Seldom read soon: the next picture gets the same memory, and the machine's cache is left to others.
+            write_bytes(session / files[kind].path, data, cached=False)
         write_bytes(session / label_path(label.sample), text)
     except BaseException:
         discard(session, label.sample, coding)
         raise
     watch.lap("write")
     return total
+
+
+def paths_of(sample: str, kinds: Iterable[PictureKind], coding: Coding = LOSSLESS) -> dict[PictureKind, str]:
+    """Where such pictures of a sample lie in its session."""
+    return {kind: str(picture_path(kind, sample, coding.extension(kind))) for kind in kinds}
 
 
 def discard(session: Path, sample: str, coding: Coding = LOSSLESS) -> None:

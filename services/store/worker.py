@@ -11,7 +11,7 @@ from pathlib import Path
 import cv2
 
 from common.dataset.faults import explain
-from common.dataset.layout import LABELS
+from common.dataset.layout import LABELS, PictureKind
 from common.dataset.locks import FolderLock
 from common.errors import FrameLostError, RefusedError
 from common.frames import SampleSlots
@@ -20,7 +20,7 @@ from common.laps import Laps, Stopwatch
 from common.messages import ErrorInfo
 from common.service.memory import keep_freed_memory
 from services.store.encode import LOSSLESS, Coding
-from services.store.sample import is_stored, pictures_for, write_sample
+from services.store.sample import is_stored, paths_of, pictures_for, write_sample
 
 PIXELS_GONE = "pixels_gone"
 NICE = 5
@@ -42,11 +42,13 @@ class WriteJob:
 class Written:
     """What became of a job: ``bytes`` written (0 if the sample was on the disk already), or an ``error``.
 
-    ``laps``: what encoding, describing (checksums, the label's text) and writing with fsync took.
+    ``pictures``: by kind, the files written. ``laps``: what encoding, describing (checksums, the label's text) and
+    writing with fsync took.
     """
 
     bytes: int = 0
     error: ErrorInfo | None = None
+    pictures: dict[PictureKind, str] = field(default_factory=dict)
     laps: Laps = field(default_factory=dict)
 
 
@@ -78,7 +80,7 @@ def write(turn: Turn) -> Written:
             pictures = pictures_for(job.label, _rings.slots(job.ring, turn.needed).view(job.slot))
             watch = Stopwatch()
             written = write_sample(job.session, job.label, pictures, turn.reserve, job.coding, watch)
-            return Written(bytes=written, laps=watch.laps)
+            return Written(bytes=written, pictures=paths_of(job.label.sample, pictures, job.coding), laps=watch.laps)
     except FrameLostError as error:
         return Written(error=ErrorInfo(code=PIXELS_GONE, message=f"{job.label.sample} is lost: {error.message}"))
     except RefusedError as error:

@@ -21,3 +21,8 @@ def test_means_are_of_the_newest() -> None:
         means.add({"write": (wall, wall / 2)})
     means.add({})
     assert means.as_numbers() == pytest.approx({"write_ms": 3.0, "write_cpu_ms": 1.5})
+    for wall in (1.5, 2.5, 0.25, 0.75):
+        means.add({"write": (wall, wall / 2)})
+    assert means.as_numbers() == pytest.approx({"write_ms": 0.5, "write_cpu_ms": 0.25}), (
+        "nothing of the older ones stays"
+    )

@@ -10,7 +10,7 @@ import pytest
 
 from common.dataset import label_path
 from common.dataset.bin import delete, restore
-from common.dataset.listing import SampleIndex, item_of
+from common.dataset.listing import SampleIndex, item_of, item_of_label
 from common.labels import Label, Uncertainty
 from common.messages import SampleFilter, SampleItem, decode, encode
 from common.messages.orders import Answer
@@ -50,6 +50,22 @@ def test_the_index_follows_the_bin(tmp_path: Path) -> None:
     (session / label_path(two)).unlink()
     index.refresh(two)
     assert [item.name for item in index.page(SampleFilter(), 0, 9).samples] == [one]
+
+
+def test_a_stored_sample_is_listed_as_its_file_says_without_reading_it(tmp_path: Path) -> None:
+    session = tmp_path / "monday"
+    one, two = make_session(session, *frames(1, 2))
+    read, told = SampleIndex(session), SampleIndex(session)
+    read.build()
+    for sample in (one, two):
+        label = Label.model_validate_json((session / label_path(sample)).read_bytes())
+        assert label.files is not None
+        files = {kind: file.path for kind, file in label.files if file is not None}
+        told.add(item_of_label(label.model_copy(update={"files": None}), files))
+    assert told.page(SampleFilter(), 0, 9) == read.page(SampleFilter(), 0, 9)
+    delete(session, [two])
+    told.refresh(two)
+    assert [item.name for item in told.page(SampleFilter(), 0, 9).samples] == [one]
 
 
 def labels() -> tuple[Label, ...]:
