@@ -6,7 +6,7 @@ import zmq
 
 from common import clock, log
 from common.bus.order_table import OrderTable
-from common.bus.sockets import ROOM_FOR_FRAMING, Socket, new_socket
+from common.bus.sockets import ROOM_FOR_FRAMING, Socket, drain, new_socket
 from common.errors import CodecError
 from common.messages import MAX_BYTES, Answer, Order, decode, encode
 
@@ -69,12 +69,11 @@ class OrderClient:
         """The answers that are there, each once, without waiting."""
         self._table.flush(self._transmit, clock.monotonic_ns())
         answers: list[Answer] = []
-        for _ in range(_MAX_DRAIN):
-            data = self._arrived()
-            if data is None:
-                break
+        if self._socket is None:
+            raise ValueError("the order client is closed")
+        for parts in drain(self._socket, _MAX_DRAIN):
             try:
-                answer = decode(Answer, data)
+                answer = decode(Answer, parts[-1])
             except CodecError as error:
                 self.bad += 1
                 if self.bad == 1:
@@ -104,11 +103,3 @@ class OrderClient:
         except zmq.Again:
             return False
         return True
-
-    def _arrived(self) -> bytes | None:
-        if self._socket is None:
-            raise ValueError("the order client is closed")
-        try:
-            return self._socket.recv_multipart(zmq.NOBLOCK)[-1]
-        except zmq.Again:
-            return None

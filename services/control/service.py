@@ -27,6 +27,7 @@ from services.control.stack import Stack
 from services.control.stack_handlers import StackHandlers, survey
 
 _SHARES_EVERY_NS = 1_000_000_000
+_LOOK_EVERY_NS = 50_000_000
 _MAX_AGE_S = 3.0
 """States that were queued while the bus was down say nothing of now."""
 
@@ -69,6 +70,7 @@ class ControlService:
         self._refused = Tally()
         self._told_shares: Shares | None = None
         self._shares_due_ns = 0
+        self._look_due_ns = 0
         self._draining = False
 
     def open(self) -> None:
@@ -89,17 +91,20 @@ class ControlService:
     def step(self, timeout_s: float) -> None:
         """One round: news, answers of peers, requests, deadlines, shares."""
         self._poller.wait(timeout_s)
-        self._hear()
+        news = self._hear()
         for answer in self._peers.receive():
             self._conversations.arrived(answer)
         for return_, data in self._commands.receive():
             self._asked.mark()
             self._take(return_, data)
         self._conversations.tick()
-        self._stack.tick(clock.monotonic_ns())
-        if self._stack.settled:
-            self._begin_parked()
-            self._tell_shares()
+        now = clock.monotonic_ns()
+        if news or self._parked or now >= self._look_due_ns:  # labelled frames change nothing here, and are many
+            self._look_due_ns = now + _LOOK_EVERY_NS
+            self._stack.tick(now)
+            if self._stack.settled:
+                self._begin_parked()
+                self._tell_shares()
 
     def drain(self) -> bool:
         """Nobody is left waiting: what was ordered goes on without its client. True from the second call on."""
@@ -140,14 +145,18 @@ class ControlService:
 
     # --- news ---------------------------------------------------------------------------------------------
 
-    def _hear(self) -> None:
+    def _hear(self) -> bool:
+        """Whether anything but labelled frames was heard."""
+        news = False
         for received in self._subscriber.receive(max_age_s=_MAX_AGE_S):
             message = received.message
+            news |= received.topic is not LABELS
             self._stack.hear(message, received.stamp.source, received.received_ns)
             if isinstance(message, ServiceState):
                 self._peers.heard(message)
                 if message.service == STORE and message.boot != self._stack.surveyed_boot:
                     self._conversations.begin(None, survey(self._stack, self._keys, message.boot))
+        return news
 
     def _tell_shares(self) -> None:
         """Once a second, and at once when a camera is new."""

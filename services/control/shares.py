@@ -31,13 +31,15 @@ class Sharing:
     def share_out(self, cameras: Iterable[str]) -> bool:
         """Give each camera that has no instance to the least busy one; True if anything changed."""
         new = sorted(set(cameras) - set(self._serves))
+        if not new:
+            return False
         load = Counter(dict.fromkeys(range(self._instances), 0))
         load.update(self._serves.values())
         for camera in new:
             instance = min(range(self._instances), key=lambda each: (load[each], each))
             self._serves[camera] = instance
             load[instance] += 1
-        return bool(new)
+        return True
 
     def instance(self, camera: str) -> int | None:
         """Who serves this camera, None if it isn't shared out."""
