@@ -8,6 +8,7 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
+from common.bus.keys import authorized_keys, server_pair
 from common.config import Rig, load_rig
 from common.errors import EXIT_OK, ConfigError
 from common.geometry import Box, BoxSide, MarkerOnSide
@@ -37,7 +38,7 @@ def run(args: argparse.Namespace) -> int:
     """Check the rig file; exit code 0, or 78 if it has mistakes."""
     path = chosen_rig(args.file or args.rig)
     try:
-        rig = load_rig(path, inputs=True)
+        rig = checked_rig(path)
     except ConfigError as error:
         show_mistakes(path, error, as_json=args.json)
         return error.exit_code
@@ -55,6 +56,20 @@ def chosen_rig(path: Path | None) -> Path:
     if path is None:
         raise ConfigError("no rig file is named and there is no ./rig.yaml; name one with --rig FILE")
     return path
+
+
+def checked_rig(path: Path) -> Rig:
+    """The rig, with the files that it names: what it needs to run is there. Raises ConfigError."""
+    rig = load_rig(path, inputs=True)
+    keys = rig.config.network.keys
+    if keys is not None:
+        folder = rig.resolve(keys)
+        try:
+            server_pair(folder)
+            authorized_keys(folder)
+        except ConfigError as error:
+            raise ConfigError(f"{path}: network.keys: {error.message}") from error
+    return rig
 
 
 def show_mistakes(path: Path, error: ConfigError, *, as_json: bool = False) -> None:

@@ -11,9 +11,9 @@ from pathlib import Path
 from typing import NoReturn
 
 from common.bus import Endpoints
-from common.config import Rig, load_rig
+from common.config import Rig
 from common.errors import EXIT_OK, ConfigError, NameTakenError, TagmillError
-from tools.check import chosen_rig, show_mistakes
+from tools.check import checked_rig, chosen_rig, show_mistakes
 from tools.stack.console import console_place, no_console
 from tools.stack.leftovers import clear, living
 from tools.stack.ports import refuse_taken
@@ -35,7 +35,7 @@ def run(args: argparse.Namespace) -> int:
     """Check the rig, write the supervisor's configuration and become supervisord (or, detached, start it)."""
     path = chosen_rig(args.rig)
     try:
-        rig = load_rig(path, inputs=True)
+        rig = checked_rig(path)
     except ConfigError as error:
         show_mistakes(path, error, as_json=args.json)
         return error.exit_code

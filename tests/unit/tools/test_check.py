@@ -7,6 +7,7 @@ from pathlib import Path
 
 import pytest
 
+from common.bus import create_keys
 from common.config.models import DRIVER_OPTIONS
 from common.errors import EXIT_BAD_CONFIG, EXIT_OK
 from tests.support.mounts import make_read_only, small_disk
@@ -75,6 +76,20 @@ def test_no_objects_is_only_a_warning(tmp_path: Path, capsys: pytest.CaptureFixt
     path.write_text("cameras: {}\n")
     assert main(["check", str(path)]) == EXIT_OK
     assert "objects: there are none" in capsys.readouterr().out
+
+
+def test_keys_that_control_would_refuse_are_a_mistake(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    path = tmp_path / "rig.yaml"
+    path.write_text("network: {command: 'tcp://127.0.0.1:5750', keys: keys}\n")
+    (tmp_path / "keys").mkdir()
+    assert main(["check", str(path)]) == EXIT_BAD_CONFIG
+    assert "network.keys: no usable key in" in capsys.readouterr().out
+    (tmp_path / "keys").rmdir()
+    create_keys(tmp_path / "keys")
+    assert main(["check", str(path)]) == EXIT_OK
+    (tmp_path / "keys" / "server.key_secret").chmod(0o644)
+    assert main(["up", "--rig", str(path)]) == EXIT_BAD_CONFIG
+    assert "server.key_secret can be read by others; run: chmod 600" in capsys.readouterr().out
 
 
 def test_mistakes_fit_on_one_screen(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:

@@ -58,7 +58,7 @@ class Clients:
         self.quiet = threading.Event()
         self._over = threading.Event()
         self._threads = [
-            threading.Thread(target=run, args=(random.Random(seed + number),), name=f"client-{number}")  # noqa: S311
+            threading.Thread(target=run, args=(random.Random(seed + number),), name=f"client-{number}")  # noqa: S311 - no secret
             for number, run in enumerate((self._recordings, self._records))
         ]
 

@@ -130,7 +130,7 @@ def _may_mount() -> bool:
 def _go_inside() -> None:
     """Go on in a mount namespace of our own, in which small disks can be mounted and vanish by themselves."""
     os.environ[_INSIDE] = "1"
-    os.execvp(_OWN_MOUNTS[0], [*_OWN_MOUNTS, sys.executable, "-m", "tools", *sys.argv[1:]])  # noqa: S606
+    os.execvp(_OWN_MOUNTS[0], [*_OWN_MOUNTS, sys.executable, "-m", "tools", *sys.argv[1:]])  # noqa: S606 - itself
 
 
 def _keep(ground: Ground, folder: Path) -> None:
