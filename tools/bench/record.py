@@ -37,7 +37,7 @@ from tools.bench.settled import settled
 from tools.stack.running import running_stack, wait_ready
 
 ROUNDS = 3
-_SAMPLE_BYTES = 2_300_000
+_SAMPLE_BYTES = 2_500_000
 _FASTEST = 60
 """Samples a second that the disk must have room for where nothing paces them."""
 _RESERVE_BYTES = 1_000_000_000
