@@ -29,7 +29,8 @@ MARGIN = 1.1
 class CameraModel:
     """Intrinsics of one camera at one picture size.
 
-    ``matrix`` 3x3 (px), ``distortion`` as cv2 wants it (pinhole: k1 k2 p1 p2 k3 ..., fisheye: k1..k4).
+    ``matrix`` 3x3 (px), ``distortion`` as cv2 wants it (pinhole: k1 k2 p1 p2 k3 ..., fisheye: k1..k4); ``straight``: a
+    pinhole without distortion.
     """
 
     width: int
@@ -37,7 +38,7 @@ class CameraModel:
     matrix: Array
     distortion: Array
     model: Literal["pinhole", "fisheye"] = "pinhole"
-    _straight: bool = field(init=False, repr=False)
+    straight: bool = field(init=False, repr=False)
     _focal: Array = field(init=False, repr=False)
     _centre: Array = field(init=False, repr=False)
     _limit: float = field(init=False, repr=False)
@@ -45,7 +46,7 @@ class CameraModel:
     def __post_init__(self) -> None:
         object.__setattr__(self, "matrix", np.asarray(self.matrix, dtype=np.float64).reshape(3, 3))
         object.__setattr__(self, "distortion", np.asarray(self.distortion, dtype=np.float64).ravel())
-        object.__setattr__(self, "_straight", self.model == "pinhole" and not self.distortion.any())
+        object.__setattr__(self, "straight", self.model == "pinhole" and not self.distortion.any())
         object.__setattr__(self, "_focal", np.diag(self.matrix)[:2].copy())
         object.__setattr__(self, "_centre", self.matrix[:2, 2].copy())
         object.__setattr__(self, "_limit", self._trusted_radius())
@@ -85,7 +86,7 @@ class CameraModel:
         NaN where no ray in front of the camera leads to a pixel: a strong barrel distortion or a fisheye has
         corners of the picture that its model can't reach, and cv2 returns arbitrary numbers there.
         """
-        if self._straight:
+        if self.straight:
             return (np.asarray(pixels, dtype=np.float64).reshape(-1, 2) - self._centre) / self._focal
         # cv2 takes every second row of a larger array for something else.
         uv = np.ascontiguousarray(pixels, dtype=np.float64).reshape(-1, 1, 2)
@@ -114,7 +115,7 @@ class CameraModel:
         return inside
 
     def _project_normalised(self, xy: Array) -> Array:
-        if self._straight:
+        if self.straight:
             return xy * self._focal + self._centre
         radius = np.hypot(xy[:, 0], xy[:, 1])
         beyond = radius > self._limit

@@ -9,16 +9,22 @@ which of them is wrong, and a wrong label is worse than none (docs/decisions/001
 
 from __future__ import annotations
 
+import math
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 
+import cv2
 import numpy as np
+from numpy.typing import NDArray
 
 from common.errors import PoseError
-from common.geometry import Box, CameraModel, Pose
+from common.geometry import FACES, Box, CameraModel, Pose
+from common.labels import FaceName
 from services.label.fit import Fit, Observed, join, misfit, observe, refine, residual_px, square_poses
 from services.label.visibility import faces_camera
 from services.label.visible_objects import SeenMarker
+
+Array = NDArray[np.float64]
 
 MOUNTING_MM = 3.0
 """How far a marker may sit from where the rig file says before it contradicts the object's others."""
@@ -97,20 +103,37 @@ def agreeing(box: Box, views: Sequence[View], earlier: Pose | None) -> tuple[lis
 def minima(box: Box, views: Sequence[View]) -> list[Fit]:
     """The sound local minima of the joint fit, best first.
 
-    Markers on one side share the ambiguity of a lone one, so both minima count; markers on several sides leave
-    one, and the search ends when it is found.
+    Markers on one side share the ambiguity of a lone one, so both minima count: the other one lies where the side's
+    tilt is mirrored. Markers on several sides leave one. The search ends when these are found.
     """
     together = join([view.observed for view in views])
-    flat = len({view.seen.side.face for view in views}) == 1
+    faces = {view.seen.side.face for view in views}
+    starts = _starts(together, views)
     found: list[Fit] = []
-    for start in _starts(together, views):
-        fit = refine(together, start)
+    while starts:
+        fit = refine(together, starts.pop(0))
         if fit is None or not all(faces_camera(fit.pose, box, v.seen.side, v.seen.marker) for v in views):
             continue
         found.append(fit)
-        if not flat and fit.cost <= _GOOD * fit.residuals.size:
-            break
+        if len(views) > 1 and len(found) == 1 and fit.cost <= _GOOD * fit.residuals.size:
+            starts = [mirrored(fit.pose, together.points, faces.pop())] if len(faces) == 1 else []
     return sorted(found, key=lambda fit: fit.cost)
+
+
+def mirrored(pose: Pose, points: Array, face: FaceName) -> Pose:
+    """The pose (object to camera frame) that shows points (N, 3) of one face nearly alike, tilted the other way.
+
+    Its normal is mirrored at the sight line to their middle, around which the object turns (Schweighofer and Pinz,
+    TPAMI 2006: a plane has at most two such minima).
+    """
+    middle = pose.apply(points.mean(axis=0))[0]
+    sight = middle / math.hypot(*middle)
+    normal = -(pose.rotation @ np.array(FACES[face].normal, dtype=np.float64))
+    axis = np.cross(normal, sight)
+    sine = math.hypot(*axis)
+    angle = 2 * math.atan2(sine, float(normal @ sight))
+    turn, _ = cv2.Rodrigues(axis * (angle / max(sine, 1e-12)))
+    return Pose(turn @ pose.rotation, turn @ (pose.translation - middle) + middle)
 
 
 def without_each(views: Sequence[View], pose: Pose) -> tuple[Pose, ...]:

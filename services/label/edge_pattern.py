@@ -99,7 +99,7 @@ class Pattern:
         distance = (at - edge) / blur
         step, bell = _step(distance)
         crossing = (edge[1] * (self.cells + 1) + edge[0]).astype(np.intp)
-        before, right, down, both = self._crossings[:, crossing]
+        before, right, down, both = self._crossings.take(crossing, axis=1)
         over_u, over_v = right + both * step[1], down + both * step[0]
         value = before + right * step[0] + over_v * step[1]
         widen, slope = -distance * bell, bell / blur

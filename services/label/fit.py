@@ -134,14 +134,15 @@ def refine(observed: Observed, start: Pose, iterations: int = 30) -> Fit | None:
             return None
         moved = _moved(pose, step)
         ahead = _placed(observed, moved)
-        if ahead is not None and ahead.cost <= placed.cost:
-            settled = placed.cost - ahead.cost <= 1e-6 * placed.cost + 1e-12
+        gained = -math.inf if ahead is None else placed.cost - ahead.cost
+        if ahead is not None and gained >= 0.0:
+            settled = gained <= 1e-6 * placed.cost + 1e-12
             pose, placed, damping = moved, ahead, max(damping / 10, 1e-12)
             if settled:
                 break
             jacobian = _jacobian(observed, placed)
             information, gradient = jacobian.T @ jacobian, jacobian.T @ placed.whitened
-        elif damping > 1e8:
+        elif damping > 1e8 or gained > -1e-9 * placed.cost:  # no step leads on, or only its rounding speaks against it
             break
         else:
             damping = max(damping * 10, _REFUSED_DAMPING)
@@ -253,6 +254,9 @@ def _moved(pose: Pose, step: Array) -> Pose:
 
 
 def _lens_slopes(rays: Array, camera: CameraModel) -> Array:
+    """d pixel / d ray (N, 2, 2)."""
+    if camera.straight:
+        return np.tile(camera.matrix[:2, :2] * np.eye(2), (len(rays), 1, 1))
     offsets = np.array([[_STEP, 0], [-_STEP, 0], [0, _STEP], [0, -_STEP]])
     around = (rays[:, None, :] + offsets).reshape(-1, 2)
     pixels, _ = camera.project(np.column_stack([around, np.ones(len(around))]))

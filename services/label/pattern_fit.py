@@ -15,6 +15,7 @@ from services.label.edge_pattern import Pattern, Values
 from services.label.lens import Lens
 from services.label.robust import median
 from services.label.shade import PARAMETERS, Shade
+from services.label.windows import following
 
 Array = NDArray[np.float64]
 Picture = NDArray[np.uint8]
@@ -103,14 +104,14 @@ class PatternFit:
         self.residual = float("inf")
         self._normal = np.eye(16)
         self._variance = float("inf")
-        self._pulls = np.zeros((16, len(grey)))
+        self._weighted, self._misfit = np.zeros((16, len(grey))), grey
 
     @classmethod
     def of(
         cls, picture: Picture, pattern: Pattern, coarse: Array, lens: Lens, margin: float | None = None
     ) -> PatternFit | None:
         """None where too little of the marker can be seen; ``margin``: the border by the square's side, None: wide."""
-        sides = np.linalg.norm(coarse - np.roll(coarse, -1, axis=0), axis=1) / pattern.cells
+        sides = np.linalg.norm(coarse - following(coarse), axis=1) / pattern.cells
         if not np.isfinite(coarse).all() or sides.min() < MIN_CELL_PX:
             return None
         cell_u, cell_v = float(sides[[0, 2]].mean()), float(sides[[1, 3]].mean())
@@ -122,7 +123,8 @@ class PatternFit:
         if margin is not None:
             # What lies beyond the border isn't in the model, and blur carries it in.
             reach = np.maximum(margin * n - BLED_PX / np.array([cell_u, cell_v]), 0.0)
-            cells = cells[((cells >= -reach) & (cells <= n + reach)).all(axis=1)]
+            within = np.abs(cells - n / 2) <= n / 2 + reach
+            cells = cells[within[:, 0] & within[:, 1]]
         points = to_pixels[:, :2] @ cells.T + to_pixels[:, 2:]
         height, width = picture.shape[:2]
         x, y = np.rint(points[:2] / points[2]).astype(np.int64)
@@ -131,8 +133,8 @@ class PatternFit:
         if inside.mean() < MIN_SEEN or len(chosen) < MIN_PIXELS:
             return None
         rows, columns = np.divmod(chosen, width)
-        values = picture[rows, columns].astype(np.float64)
-        grey = values if values.ndim == 1 else values @ np.array([0.114, 0.587, 0.299])
+        values = picture.reshape(height * width, -1).take(chosen, axis=0).astype(np.float64)
+        grey = values[:, 0] if picture.ndim == 2 else values @ np.array([0.114, 0.587, 0.299])
         where = lens.undistort(np.column_stack([columns, rows]).astype(np.float64))
         start = lens.undistort(coarse)
         if not (np.isfinite(where).all() and np.isfinite(start).all()):
@@ -148,30 +150,30 @@ class PatternFit:
         """Covariance (8, 8) px^2 of the corners x y x y ... at the last step, for noise as the residual has it."""
         # A corner lies where G maps it to the square's, so its move is the one that makes up for a change of G.
         g, corners = self._g, (self.corners - self._centre) / self._scale
-        by_g = np.zeros((8, 8))
-        for i, ((x, y), (u, v)) in enumerate(zip(corners, self._square, strict=True)):
-            slope = g[:2, :2] - np.outer((u, v), g[2, :2])
-            change = np.array([[x, y, 1, 0, 0, 0, -u * x, -u * y], [0, 0, 0, x, y, 1, -v * x, -v * y]])
-            by_g[2 * i : 2 * i + 2] = np.linalg.solve(slope, -change)
+        slopes = g[:2, :2] - self._square[:, :, None] * g[2, :2]
+        change = np.zeros((4, 2, 8))
+        change[:, 0, :2] = change[:, 1, 3:5] = corners
+        change[:, 0, 2] = change[:, 1, 5] = 1.0
+        change[:, :, 6:] = -self._square[:, :, None] * corners[:, None, :]
+        by_g = np.linalg.solve(slopes, -change).reshape(8, 8)
         by_all = by_g @ np.linalg.inv(self._normal)[:8]
         white = by_all[:, :8] @ by_g.T * self._variance
         # What the model can't explain is alike in a cell's pixels (clustered sandwich: Liang, Zeger, Biometrika 1986).
-        pulls = by_all @ self._pulls_by_cell()
+        pulls = self._pulled_by_cell(by_all)
         coloured = float((pulls * pulls).sum()) / max(float(np.trace(white)), 1e-30)
         floor = math.hypot(FLOOR_PX, BLURRED_FLOOR_PX * (self._sigma / self._cell_px) ** 3)
         share = coloured if coloured > CHANCE else 1.0
         return np.asarray(white * share * self._scale**2 + np.eye(8) * floor**2)
 
-    def _pulls_by_cell(self) -> Array:
-        """How the pixels of each cell pull at the unknowns (unknowns, cells), grey levels squared."""
+    def _pulled_by_cell(self, by_all: Array) -> Array:
+        """How far the pixels of each cell pull the corners' coordinates (8, cells); ``by_all`` (8, unknowns)."""
         at = self._g @ self._where
         tiles = np.clip(np.floor(at[:2] / at[2]), -1, self._pattern.cells).astype(np.int64) + 1
         tile = tiles[0] * (self._pattern.cells + 2) + tiles[1]
-        order = np.argsort(tile, kind="stable")
-        _, first = np.unique(tile[order], return_index=True)
-        sums = np.add.reduceat(self._pulls[:, order], first, axis=1)
-        count = len(first)
-        return np.asarray(sums * math.sqrt(count / max(count - len(sums), 1)))
+        pulls = by_all @ (self._weighted * self._misfit)
+        sums = np.array([np.bincount(tile, row) for row in pulls])
+        count = int(np.count_nonzero(np.bincount(tile)))
+        return np.asarray(sums * math.sqrt(count / max(count - len(self._weighted), 1)))
 
     @property
     def dimmest(self) -> float:
@@ -220,7 +222,7 @@ class PatternFit:
             normal, right = weighted @ jacobian.T, weighted @ residual
             normal[-1, -1] += (spread / TONE_SPREAD) ** 2
             right[-1] -= (spread / TONE_SPREAD) ** 2 * self._tone
-            self._normal, self._pulls = normal, weighted * residual
+            self._normal, self._weighted, self._misfit = normal, weighted, residual
             self._variance = float(weight @ residual**2) / max(float(weight.sum()) - len(jacobian), 1.0)
         else:
             jacobian = jacobian[:-2]

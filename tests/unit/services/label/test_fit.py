@@ -5,7 +5,7 @@ import pytest
 
 from common.geometry import Pose
 from services.label.fit import join, misfit, observe, refine, residual_px, square_poses
-from tests.unit.services.label.truth import CAMERA, FISHEYE, MARKER_CORNERS, looking_at, project
+from tests.unit.services.label.truth import CAMERA, FISHEYE, MARKER_CORNERS, camera, looking_at, project
 
 POSE = looking_at(30, 25, 900, (40, -20))
 
@@ -97,3 +97,12 @@ def test_degenerate_corners_give_finite_poses_or_none(corners):
     for pose in square_poses(CAMERA.normalise(np.array(corners, float)), 50):
         assert np.isfinite(pose.matrix).all()
         assert pose.translation[2] > 0
+
+
+def test_a_camera_without_a_lens_has_the_slopes_of_the_smallest_one():
+    pixels = project(MARKER_CORNERS[0], looking_at(20, 10, 700), camera((0.0,) * 5))
+    none, small = (
+        observe(np.array(MARKER_CORNERS[0], dtype=float), pixels, np.full(4, 0.1), camera((k1, 0, 0, 0, 0))).slopes
+        for k1 in (0.0, 1e-12)
+    )
+    np.testing.assert_allclose(none, small, atol=1e-6)

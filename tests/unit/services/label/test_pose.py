@@ -7,7 +7,9 @@ import pytest
 
 from common.errors import PoseError
 from common.geometry import Box, BoxSide, MarkerOnSide
+from services.label.agreement import mirrored
 from services.label.pose import CERTAIN, DECIDED, Prior, corner_distance, solve_box
+from services.label.visibility import viewing_angle
 from services.label.visible_objects import doubted, sort_markers
 from tests.unit.services.label.truth import BOX, CAMERA, FISHEYE, MARKER_CORNERS, detected, looking_at, project, seen
 
@@ -95,6 +97,19 @@ def test_never_sure_of_a_wrong_pose():
 
 def test_exact_corners_settle_it():
     assert not any(solve(far_marker(seed, "photometric", 0.02)).ambiguous for seed in range(20))
+
+
+def test_the_mirrored_pose_shows_a_side_nearly_alike():
+    points = np.array(MARKER_CORNERS[0], dtype=float)
+    pose = looking_at(25, 15, 20_000)
+    other = mirrored(pose, points, "front")
+    assert pose.angle_to(other) > np.radians(30)
+    middle = points.mean(axis=0)
+    np.testing.assert_allclose(other.apply(middle), pose.apply(middle), atol=1e-6)
+    assert viewing_angle(other, "front", middle) == pytest.approx(viewing_angle(pose, "front", middle), abs=1e-6)
+    away = project(points, pose) - project(points, other)
+    assert np.abs(away).max() < 0.01 * np.ptp(project(points, pose), axis=0).max()
+    np.testing.assert_allclose(mirrored(other, points, "front").matrix, pose.matrix, atol=1e-6)
 
 
 def test_a_second_marker_settles_it():
