@@ -7,8 +7,8 @@ import zmq
 from common import clock
 from common.bus.endpoints import Endpoints
 from common.bus.keyparts import has_valid_keys
-from common.bus.sockets import PREVIEW_QUEUE, PUBLISHER_QUEUE, Socket, new_socket
-from common.messages import Message, Stamp, encode
+from common.bus.sockets import PREVIEW_QUEUE, PUBLISHER_QUEUE, Socket, new_socket, send_pair
+from common.messages import Message, encode_stamped
 from common.topics import PREVIEW, Topic
 
 
@@ -24,6 +24,7 @@ class Publisher:
         self._source = source
         self._boot = boot
         self._sent: dict[bytes, int] = {}
+        self._wires: dict[tuple[str, tuple[str, ...]], bytes] = {}
         self._bus: Socket | None = _connect(endpoints.publish, PUBLISHER_QUEUE)
         self._previews: Socket | None = None
 
@@ -35,20 +36,11 @@ class Publisher:
         """
         if type(message) is not topic.message:
             raise TypeError(f"topic {topic.name} takes {topic.message.__name__}, not {type(message).__name__}")
-        wire = topic.key(*keys)
-        if not has_valid_keys(topic, wire):
-            raise ValueError(f"topic {topic.name} needs names for the keys {topic.keys}, got {keys}")
+        wire = self._wires.get((topic.name, keys)) or self._wire(topic, keys)
         seq = self._sent.get(wire, 0) + 1
-        stamp = Stamp(
-            source=self._source,
-            boot=self._boot,
-            seq=seq,
-            mono_ns=clock.monotonic_ns(),
-            wall_ns=clock.wall_ns(),
-        )
-        data = encode(message.stamped(stamp))
+        data = encode_stamped(message, self._source, self._boot, seq, clock.monotonic_ns(), clock.wall_ns())
         self._sent[wire] = seq
-        if not _sent(self._lane(topic), (wire, data)):
+        if not _sent(self._lane(topic), wire, data):
             self.dropped += 1
 
     def close(self, linger_s: float = 0.0) -> None:
@@ -57,6 +49,14 @@ class Publisher:
             if made is not None:
                 made.close(linger=int(linger_s * 1000))
         self._bus = self._previews = None
+
+    def _wire(self, topic: Topic, keys: tuple[str, ...]) -> bytes:
+        """The topic as it is sent, kept for the next message."""
+        wire = topic.key(*keys)
+        if not has_valid_keys(topic, wire):
+            raise ValueError(f"topic {topic.name} needs names for the keys {topic.keys}, got {keys}")
+        self._wires[topic.name, keys] = wire
+        return wire
 
     def _lane(self, topic: Topic) -> Socket:
         if self._bus is None:
@@ -68,11 +68,11 @@ class Publisher:
         return self._previews
 
 
-def _sent(lane: Socket, parts: tuple[bytes, bytes]) -> bool:
-    """Whether ``parts`` found room in the queue."""
+def _sent(lane: Socket, wire: bytes, data: bytes) -> bool:
+    """Whether the two found room in the queue."""
     for _ in range(2):
         try:
-            lane.send_multipart(parts, zmq.NOBLOCK)
+            send_pair(lane, wire, data)
             return True
         except zmq.Again:
             # ZeroMQ looks for acknowledgements at most once a millisecond, so a burst finds a queue full that

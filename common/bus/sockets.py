@@ -23,6 +23,9 @@ ROOM_FOR_FRAMING = 4096
 
 _BACKLOG = 128
 _READABLE = int(zmq.POLLIN)
+_NOBLOCK = int(zmq.NOBLOCK)
+_MORE = int(zmq.NOBLOCK | zmq.SNDMORE)
+"""Plain numbers: a live frame's news finds cold caches, where each of zmq's enumerations costs 20 us."""
 
 
 def new_socket(
@@ -38,14 +41,26 @@ def new_socket(
 
 def drain(made: Socket, limit: int) -> Iterator[list[bytes]]:
     """The messages that are there, at most ``limit``, without waiting."""
+    wanted = [(made, _READABLE)]
     for _ in range(limit):
-        # Cheaper than the exception that every drain would end with.
-        if not int(made.getsockopt(zmq.EVENTS)) & _READABLE:
+        # Cheaper than the exception that every drain would end with, and what the Poller has just called.
+        if not zmq.zmq_poll(wanted, 0):
             return
         try:
-            yield made.recv_multipart(zmq.NOBLOCK)
+            frame = made.recv(_NOBLOCK, copy=False)
         except zmq.Again:
             return
+        parts = [frame.bytes]
+        while frame.more:
+            frame = made.recv(_NOBLOCK, copy=False)
+            parts.append(frame.bytes)
+        yield parts
+
+
+def send_pair(made: Socket, first: bytes, second: bytes) -> None:
+    """Send a message of two parts, without waiting; raises zmq.Again where there is no room for it."""
+    made.send(first, _MORE)
+    made.send(second, _NOBLOCK)
 
 
 def reply(router: Socket, parts: Sequence[bytes]) -> bool:

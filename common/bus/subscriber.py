@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from typing import NamedTuple
 
 import zmq
 
@@ -24,8 +24,7 @@ _Route = tuple[Topic, tuple[str, ...]]
 _Row = tuple[bytes, _Route, bytes]
 
 
-@dataclass(frozen=True, slots=True)
-class Received:
+class Received(NamedTuple):
     """A valid message with its topic and key parts; ``stamp`` says who sent it and when."""
 
     topic: Topic
@@ -45,7 +44,7 @@ class Subscriber:
 
     ``bad``: garbage, by kind in ``bad_kinds``, logged once a kind. By topic: ``superseded`` (a newer message of
     a ``latest`` topic was there), ``missed`` (gaps in the sequence: lost in full queues), ``stale`` (older than
-    the reader wanted).
+    the reader wanted). ``sockets`` is for the Poller.
     """
 
     def __init__(self, endpoints: Endpoints) -> None:
@@ -58,18 +57,15 @@ class Subscriber:
         self._whole: set[str] = set()
         self._routes: dict[bytes, _Route] = {}
         self._last: dict[bytes, tuple[str, int]] = {}
-        self._bus: Socket | None = _connect(endpoints.subscribe, BUS_QUEUE)
+        bus = _connect(endpoints.subscribe, BUS_QUEUE)
+        self._bus: Socket | None = bus
         self._previews: Socket | None = None
+        self.sockets: tuple[Socket, ...] = (bus,)
 
     @property
     def bad(self) -> int:
         """How many pieces of garbage came so far."""
         return sum(self.bad_kinds.values())
-
-    @property
-    def sockets(self) -> tuple[Socket, ...]:
-        """For the Poller."""
-        return tuple(made for made in (self._bus, self._previews) if made is not None)
 
     def subscribe(self, topic: Topic, *keys: str, every: bool = False) -> None:
         """Receive this topic; fewer keys than the topic has = all below. ``every``: of a ``latest`` topic too."""
@@ -113,6 +109,7 @@ class Subscriber:
         for made in self.sockets:
             made.close(linger=0)
         self._bus = self._previews = None
+        self.sockets = ()
 
     def _all_valid(self, rows: list[_Row]) -> list[Received]:
         found = []
@@ -206,6 +203,7 @@ class Subscriber:
             return self._bus
         if self._previews is None:
             self._previews = _connect(self._endpoints.subscribe_preview, PREVIEW_QUEUE)
+            self.sockets = (self._bus, self._previews)
         return self._previews
 
 

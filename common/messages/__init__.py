@@ -1,6 +1,16 @@
 """Frozen pydantic models for everything that travels between services, and their strict codec."""
 
-from common.messages.base import MAX_BYTES, SCHEMA_VERSION, Message, Stamp, decode, encode, unpack, validate
+from common.messages.base import (
+    MAX_BYTES,
+    SCHEMA_VERSION,
+    Message,
+    Stamp,
+    decode,
+    encode,
+    encode_stamped,
+    unpack,
+    validate,
+)
 from common.messages.detections import MARKERS, DetectedMarker, Detections, Labels, Preview
 from common.messages.frames import CameraState, FrameAnnounced, FrameRef, TrueMarker, TrueObject, Truth
 from common.messages.orders import (
@@ -72,6 +82,7 @@ __all__ = [
     "Warned",
     "decode",
     "encode",
+    "encode_stamped",
     "unpack",
     "validate",
 ]

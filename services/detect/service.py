@@ -8,6 +8,8 @@ States    running.
 
 from __future__ import annotations
 
+from collections.abc import Iterator
+
 from common import clock
 from common.bus import Poller, Publisher, Subscriber
 from common.markers import family
@@ -26,7 +28,7 @@ class DetectService:
 
     Always the newest frame of a camera (while it is recorded, its next one), and the cameras in turn: of those that
     have a frame waiting, the one that was served longest ago is next. While none waits, frames that were only followed
-    are searched.
+    are searched, a piece at a time.
     """
 
     def __init__(self, context: Context) -> None:
@@ -35,7 +37,7 @@ class DetectService:
         self._config = context.rig.config
         self._cameras: dict[str, Camera] = {}
         self._trackers: dict[str, tuple[str, Tracker]] = {}
-        self._to_search: dict[str, Grey] = {}
+        self._searches: dict[str, Iterator[None]] = {}
         self._turn: list[str] = []
         self._shares: Shares | None = None
         self._rate = Rate()
@@ -61,7 +63,7 @@ class DetectService:
     def step(self, timeout_s: float) -> None:
         """One round: the news, then one frame of the camera whose turn it is."""
         waiting = any(camera.ready for camera in self._served())
-        self._poller.wait(0.0 if waiting or self._to_search else timeout_s)
+        self._poller.wait(0.0 if waiting or self._searches else timeout_s)
         self._listen()
         self._forget_silent()
         camera = next((camera for camera in self._served() if camera.ready), None)
@@ -69,9 +71,8 @@ class DetectService:
             self._turn.remove(camera.name)
             self._turn.append(camera.name)
             self._next_frame(camera)
-        elif self._to_search:
-            name, grey = self._to_search.popitem()
-            self._trackers[name][1].look_around(grey)
+        elif self._searches:
+            self._search_on(next(iter(self._searches)))
 
     def drain(self) -> bool:
         """Nothing is under way between two rounds."""
@@ -158,14 +159,14 @@ class DetectService:
         for camera in self._cameras.values():
             if not self._serves(camera.name):
                 camera.handed_over()
-                self._to_search.pop(camera.name, None)
+                self._searches.pop(camera.name, None)
 
     def _forget_silent(self) -> None:
         now = clock.monotonic_ns()
         for camera in self._cameras.values():
             if camera.state is not None and camera.gone(now):
                 camera.forget()
-                self._to_search.pop(camera.name, None)
+                self._searches.pop(camera.name, None)
                 self._log.info("camera.vanished", camera=camera.name)
 
     # --- frames ---------------------------------------------------------------------------------------
@@ -175,7 +176,7 @@ class DetectService:
         ref = camera.next(began, self._config.ring.slots)
         if ref is None:
             return
-        self._to_search.pop(camera.name, None)  # its pixels are about to be those of this frame
+        self._searches.pop(camera.name, None)  # its pixels are about to be those of this frame
         grey = camera.grey(ref)
         if grey is None:
             return
@@ -195,8 +196,15 @@ class DetectService:
         live = camera.state is not None and not camera.state.paced
         found = tracker.detect(grey, later=live)
         if tracker.owes_search:
-            self._to_search[camera.name] = grey
+            self._searches[camera.name] = tracker.look_around(grey)
         return found
+
+    def _search_on(self, name: str) -> None:
+        """A piece of the search that a camera's last frame is owed."""
+        try:
+            next(self._searches[name])
+        except StopIteration:
+            del self._searches[name]
 
     def _tracker(self, camera: Camera) -> Tracker:
         """The camera's own; a new life of the camera begins anew."""

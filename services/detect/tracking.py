@@ -5,12 +5,13 @@ constant velocity. A marker that isn't there brings a full search in the same fr
 the picture is found by the next full search, at most ``SEARCH_EVERY`` frames later.
 
 Of a live camera that search can come after the frame's markers are told (``later``, then ``look_around``), and a
-frame sooner: it takes several times as long as following, and the frame need not wait for what enters only now.
+frame sooner: it takes several times as long as following, and the frame need not wait for what enters only now. It
+comes in pieces, between which another camera's frame can have its turn.
 """
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 from typing import Protocol, runtime_checkable
 
@@ -18,7 +19,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from common.messages import DetectedMarker
-from services.detect.markers.base import Grey, MarkerDetector
+from services.detect.markers.base import Grey, MarkerDetector, Search
 from services.detect.markers.quads import as_quad, merged
 
 Array = NDArray[np.float64]
@@ -35,6 +36,15 @@ class Follower(Protocol):
 
     def follow(self, grey: Grey, expected: Sequence[DetectedMarker]) -> list[DetectedMarker | None]:
         """Each expected marker where it is now, or None where it isn't close to where it was expected."""
+        ...
+
+
+@runtime_checkable
+class Searcher(Protocol):
+    """A detector whose search can be cut into pieces."""
+
+    def search(self, grey: Grey) -> Search:
+        """``detect``, a piece at a time; the picture must stay as it is until the last."""
         ...
 
 
@@ -59,6 +69,7 @@ class Tracker:
     def __init__(self, detector: MarkerDetector) -> None:
         self._detector = detector
         self._follower = detector if isinstance(detector, Follower) else None
+        self._searcher = detector if isinstance(detector, Searcher) else None
         self.searches = 0
         self.reset()
 
@@ -90,16 +101,25 @@ class Tracker:
         self._tracks = [_Track(one, self._velocity(one)) for one in found]
         return found
 
-    def look_around(self, grey: Grey) -> None:
-        """Search the frame that ``detect`` has just followed, for the sake of the next ones."""
-        seen = [(one, self._track_of(one)) for one in self._search(grey)]
+    def look_around(self, grey: Grey) -> Iterator[None]:
+        """Search the frame that ``detect`` has just followed, for the sake of the next ones; each item is a piece.
+
+        The picture must stay as it is until the last, and ``detect`` not be called before: who wants the next frame
+        sooner drops what is left of the search.
+        """
+        found = (yield from self._searcher.search(grey)) if self._searcher else self._detector.detect(grey)
+        self._searched()
+        seen = [(one, self._track_of(one)) for one in found]
         self._tracks = [_Track(one, np.zeros((4, 2)) if track is None else track.velocity) for one, track in seen]
 
     def _search(self, grey: Grey) -> list[DetectedMarker]:
         found = self._detector.detect(grey)
+        self._searched()
+        return found
+
+    def _searched(self) -> None:
         self.searches += 1
         self._since_search = 0
-        return found
 
     def _followed(self, grey: Grey) -> list[DetectedMarker] | None:
         """The known markers in this frame; None where it has to be searched."""

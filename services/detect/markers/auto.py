@@ -6,7 +6,7 @@ from collections.abc import Sequence
 
 from common.markers import Family
 from common.messages import DetectedMarker
-from services.detect.markers.base import Grey, MarkerDetector
+from services.detect.markers.base import Grey, MarkerDetector, Search
 from services.detect.markers.opencv import OpenCvDetector
 from services.detect.markers.pattern import FAST, THOROUGH, PatternDetector
 
@@ -25,6 +25,12 @@ class AutoDetector:
 
     def detect(self, grey: Grey) -> list[DetectedMarker]:
         """The markers in a picture (H, W) uint8. Raises ValueError for another shape."""
+        return self._chosen.detect(grey)
+
+    def search(self, grey: Grey) -> Search:
+        """``detect`` in pieces, as far as the chosen one can be cut."""
+        if self._own is not None:
+            return (yield from self._own.search(grey))
         return self._chosen.detect(grey)
 
     def follow(self, grey: Grey, expected: Sequence[DetectedMarker]) -> list[DetectedMarker | None]:

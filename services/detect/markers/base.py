@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Generator
 from typing import Protocol
 
 import numpy as np
@@ -11,6 +12,8 @@ from common.markers import Family
 from common.messages import DetectedMarker
 
 Grey = NDArray[np.uint8]
+Search = Generator[None, None, list[DetectedMarker]]
+"""A search in pieces of a few milliseconds; what it returns in the end is what ``detect`` would have."""
 
 
 class MarkerDetector(Protocol):

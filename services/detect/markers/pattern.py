@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 
 from common.markers import Family
 from common.messages import DetectedMarker
-from services.detect.markers.base import Grey
+from services.detect.markers.base import Grey, Search
 from services.detect.markers.code_book import CodeBook, Match
 from services.detect.markers.dark_quads import Level, find_quads, signed_areas
 from services.detect.markers.edges import fit_edges
@@ -51,8 +51,24 @@ class PatternDetector:
 
     def detect(self, grey: Grey) -> list[DetectedMarker]:
         """The markers in a picture (H, W) uint8; ``kind`` is ``edges``. Raises ValueError for another shape."""
+        pieces = self.search(grey)
+        while True:
+            try:
+                next(pieces)
+            except StopIteration as through:
+                return list(through.value)
+
+    def search(self, grey: Grey) -> Search:
+        """``detect`` in pieces; the picture must stay as it is until the last."""
         check(grey)
-        quads, reach = self._candidates(grey)
+        quads, reach = np.empty((0, 4, 2)), np.empty(0)
+        for level in self._levels:
+            if level.scale > 1 and grey.size > DOUBLED_MAX_PIXELS:
+                continue
+            more, off = find_quads(grey, level)
+            new = ~_known(more, quads)
+            quads, reach = np.concatenate([quads, more[new]]), np.concatenate([reach, off[new]])
+            yield
         if not len(quads):
             return []
         quads = fit_edges(grey, quads, np.maximum(reach, CELLS_OFF * self._cell_px(quads)))
@@ -83,17 +99,6 @@ class PatternDetector:
             DetectedMarker(id=marker.id, corners=as_quad(quad), kind=KIND) if there else None
             for marker, quad, there in zip(expected, quads, seen, strict=True)
         ]
-
-    def _candidates(self, grey: Grey) -> tuple[Array, Array]:
-        """Quads (K, 4, 2) px of all levels, each place once, and how far off (K,) px they may be."""
-        quads, reach = np.empty((0, 4, 2)), np.empty(0)
-        for level in self._levels:
-            if level.scale > 1 and grey.size > DOUBLED_MAX_PIXELS:
-                continue
-            more, off = find_quads(grey, level)
-            new = ~_known(more, quads)
-            quads, reach = np.concatenate([quads, more[new]]), np.concatenate([reach, off[new]])
-        return quads, reach
 
     def _identify(self, grey: Grey, quads: Array) -> list[_Seen]:
         """Those quads (K, 4, 2) that show a marker of the family, fitted once more."""

@@ -28,6 +28,7 @@ from common.messages import (
     Stamp,
     decode,
     encode,
+    encode_stamped,
     unpack,
 )
 from common.topics import TOPICS, topic_of
@@ -112,6 +113,10 @@ def test_a_flipped_byte_is_refused_or_a_valid_message(position: int, byte: int) 
     data[position] = byte
     with contextlib.suppress(CodecError):
         assert isinstance(decode(FrameAnnounced, bytes(data)), FrameAnnounced)
+
+
+def test_a_message_stamped_on_its_way_is_the_same_as_a_stamped_one() -> None:
+    assert encode_stamped(FrameAnnounced(ref=REF), "s", "b", 1, 2, 3) == encode(FRAME)
 
 
 def test_too_large_is_refused_on_both_sides() -> None:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Iterator
+from itertools import zip_longest
 from pathlib import Path
 
 import cv2
@@ -10,7 +11,7 @@ import numpy as np
 import pytest
 
 from common.messages import DetectedMarker
-from services.detect.markers import open_detector
+from services.detect.markers import MarkerDetector, open_detector
 from services.detect.tracking import SEARCH_EVERY, Tracker
 from tests.support.rendered_marker import drawing
 
@@ -110,7 +111,7 @@ def test_searching_later_finds_what_enters_for_the_frames_after_and_keeps_pace()
         assert number == 0 or detector.count == before
         if tracker.owes_search:
             owed += 1
-            tracker.look_around(grey)
+            assert list(tracker.look_around(grey)) == [], "this detector's search is one piece"
             assert not tracker.owes_search
         assert (11 in {m.id for m in found}) is (number > 12)
     assert owed == 4
@@ -123,6 +124,39 @@ def test_a_search_that_found_no_time_is_made_up_for_in_the_next_frame() -> None:
         tracker.detect(frame(markers, number), later=True)
         assert tracker.owes_search is (number == SEARCH_EVERY - 1)
     assert detector.count == 2
+
+
+def following(detector: MarkerDetector, still: dict[int, np.ndarray]) -> Tracker:
+    """A tracker that is owed a search."""
+    tracker = Tracker(detector)
+    for number in range(SEARCH_EVERY):
+        tracker.detect(frame(still, number), later=True)
+    assert tracker.owes_search
+    return tracker
+
+
+def test_two_cameras_searches_take_turns_piece_by_piece() -> None:
+    detector = open_detector("apriltag_36h11", HERE)
+    stills = ({3: square(120, 120, 60)}, {8: square(330, 220, 50)})
+    enter = ({11: square(330, 220, 40)}, {11: square(120, 120, 45)})
+    trackers = [following(detector, still) for still in stills]
+    both = [frame({**still, **more}, 9) for still, more in zip(stills, enter, strict=True)]
+    turns = [tracker.look_around(grey) for tracker, grey in zip(trackers, both, strict=True)]
+    assert len(list(zip_longest(*turns))) > 1
+    for tracker, grey in zip(trackers, both, strict=True):
+        searches = tracker.searches
+        assert_alike(tracker.detect(grey), detector.detect(grey), 0.1)
+        assert tracker.searches == searches, "what the search found is followed"
+
+
+def test_a_search_that_is_broken_off_is_made_up_for_in_the_next_frame() -> None:
+    still = {3: square(120, 120, 60)}
+    tracker = following(open_detector("apriltag_36h11", HERE), still)
+    searches = tracker.searches
+    next(tracker.look_around(frame(still, 9)))
+    assert (tracker.searches, tracker.owes_search) == (searches, True)
+    assert {m.id for m in tracker.detect(frame({**still, 11: square(330, 220, 40)}, 10), later=True)} == {3, 11}
+    assert tracker.searches == searches + 1
 
 
 def test_a_marker_that_jumps_is_found_in_the_same_frame() -> None:
