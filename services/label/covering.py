@@ -18,6 +18,7 @@ from services.label.robust import median
 from services.label.surfaces import Region, Surface
 
 Array = NDArray[np.float64]
+Floats = NDArray[np.float32]
 Mask = NDArray[np.bool_]
 
 _PATCH = 5
@@ -86,24 +87,33 @@ def _nearer(surface: Surface | None, depth: DepthPicture, crop: Crop) -> NDArray
         return None
     values = depth.values[crop.slices]
     middle = np.asarray(cv2.medianBlur(np.where(values == 0, np.uint16(_FAR), values), _PATCH), dtype=np.uint16)
-    smooth = middle * np.float32(depth.unit_mm)
-    # On the plane z is linear in its coordinates, which a homography makes a quotient of two forms of the pixel.
-    back = np.linalg.inv(surface.to_pixel)
-    u = np.arange(crop.left, crop.right, dtype=np.float32)[None, :]
-    v = np.arange(crop.top, crop.bottom, dtype=np.float32)[:, None]
-    scale = back[2] @ [crop.left, crop.top, 1.0]
-    above, below = (np.asarray(row / scale, dtype=np.float32) for row in (surface.depth_row @ back, back[2]))
-    with np.errstate(divide="ignore", invalid="ignore"):
-        plane = (above[0] * u + above[1] * v + above[2]) / (below[0] * u + below[1] * v + below[2])
-        before = plane - smooth
-        near = np.asarray(before > np.maximum(NEARER_MM, NEARER_SHARE * plane))
+    # Mostly nothing is there, which every second pixel shows: no patch's median is alone among its neighbours.
+    _, near = _before(surface, surface.depth_row, middle[::2, ::2], depth.unit_mm, crop, 2)
     if not near.any():
         return None
+    before, near = _before(surface, surface.depth_row, middle, depth.unit_mm, crop, 1)
     near &= before > NEARER_SIGMA * _noise_mm(values, middle, depth.unit_mm)
     if surface.outline is not None:
         # Beyond its side a plane goes on, and at a grazing angle it is soon behind the wall.
         near &= np.asarray(cv2.dilate(area_of(surface.outline, crop), _BAND)) > 0
     return near.astype(np.uint8) if near.any() else None
+
+
+def _before(
+    surface: Surface, depth_row: Array, middle: NDArray[np.uint16], unit_mm: float, crop: Crop, every: int
+) -> tuple[Floats, Mask]:
+    """By how much (mm) one in ``every`` rows and columns of a crop's depth lies before a plane; where by enough."""
+    smooth = middle * np.float32(unit_mm)
+    # On the plane z is linear in its coordinates, which a homography makes a quotient of two forms of the pixel.
+    back = np.linalg.inv(surface.to_pixel)
+    u = np.arange(crop.left, crop.right, every, dtype=np.float32)[None, :]
+    v = np.arange(crop.top, crop.bottom, every, dtype=np.float32)[:, None]
+    scale = back[2] @ [crop.left, crop.top, 1.0]
+    above, below = (np.asarray(row / scale, dtype=np.float32) for row in (depth_row @ back, back[2]))
+    with np.errstate(divide="ignore", invalid="ignore"):
+        plane = (above[0] * u + above[1] * v + above[2]) / (below[0] * u + below[1] * v + below[2])
+        before = plane - smooth
+        return before, np.asarray(before > np.maximum(NEARER_MM, NEARER_SHARE * plane))
 
 
 def _noise_mm(values: NDArray[np.uint16], middle: NDArray[np.uint16], unit_mm: float) -> float:

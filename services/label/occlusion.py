@@ -25,6 +25,8 @@ Counts = NDArray[np.int64]
 
 GRID = 16
 """Points sampled along each side of a face."""
+_STEPS = (np.arange(GRID) + 0.5) / GRID - 0.5
+_UNIT_GRID = np.array([(x, y, 0.0) for y in _STEPS for x in _STEPS])
 INSET_PX = 4.0
 """A corner is judged a little inside its faces: at the corner itself the depth jumps to what is behind the box."""
 _PATCH = np.array([(x, y) for y in range(-2, 3) for x in range(-2, 3)])
@@ -94,10 +96,8 @@ def look(
 
 def _grid(box: Box, face: FaceName) -> Array:
     """Points (GRID ** 2, 3) spread evenly over a face, object frame."""
-    steps = (np.arange(GRID) + 0.5) / GRID - 0.5
-    x, y = np.meshgrid(steps, steps)
     width, height, _ = box.face_size(face)
-    return box.face_pose(face).apply(np.column_stack([x.ravel() * width, y.ravel() * height, np.zeros(x.size)]))
+    return box.face_pose(face).apply(_UNIT_GRID * (width, height, 0.0))
 
 
 def _turned_here(box: Box, facing: Sequence[FaceName]) -> Mask:
