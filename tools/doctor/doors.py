@@ -15,7 +15,8 @@ from tools.stack.console import no_console
 from tools.stack.leftovers import living
 from tools.stack.ports import refuse_taken
 
-_ASK_S = 3.0
+_ASK_S = 20.0
+"""A library that hangs hangs for ever; on a busy machine a good one takes seconds to load."""
 
 
 def cameras(rig: Rig | None) -> Iterator[Finding]:
