@@ -15,6 +15,7 @@ from typing import Any
 from common.bounded import parse_json
 from common.dataset.bin import bin_of, labelled
 from common.dataset.layout import BIN, PICTURES, PictureKind, label_path
+from common.dataset.packed import pack, peek, unpack
 from common.geometry import view_direction
 from common.ids import sample_camera, sample_captured_at, sample_frame
 from common.labels import Label
@@ -32,14 +33,14 @@ class SampleIndex:
 
     def __init__(self, session: Path) -> None:
         self._session = session
-        self._stored: dict[str, SampleItem] = {}
-        self._binned: dict[str, SampleItem] = {}
+        self._stored: dict[str, bytes] = {}
+        self._binned: dict[str, bytes] = {}
         self._order: dict[bool, list[str]] = {}
-        self._added: deque[SampleItem] = deque()
+        self._added: deque[tuple[str, bytes]] = deque()
 
     def add(self, item: SampleItem) -> None:
         """A sample that has just been stored, by whoever knows its label. From any thread."""
-        self._added.append(item)
+        self._added.append((item.name, pack(item)))
 
     def build(self, stop: Callable[[], bool] = lambda: False) -> None:
         """Read all labels; ``stop`` is asked in between and ends it early. Raises OSError."""
@@ -59,17 +60,20 @@ class SampleIndex:
                 text = (folder / label_path(sample)).read_bytes()
             except FileNotFoundError:
                 continue
-            items[sample] = item_of(sample, text, "" if folder == self._session else f"{BIN}/")
+            items[sample] = pack(item_of(sample, text, "" if folder == self._session else f"{BIN}/"))
             return
 
     def page(self, wanted: SampleFilter, offset: int, limit: int) -> SampleList:
         """The samples that match, the newest first, from ``offset`` on; fewer than ``limit`` if they are too large."""
         self._take_added()
         items = self._binned if wanted.bin else self._stored
-        matching = [items[name] for name in self._newest_first(wanted.bin) if fits(items[name], wanted)]
+        matching = self._newest_first(wanted.bin)
+        if wanted != SampleFilter(bin=wanted.bin):
+            matching = [name for name in matching if fits(peek(name, items[name]), wanted)]
         page: list[SampleItem] = []
         size = 0
-        for item in matching[offset : offset + limit]:
+        for name in matching[offset : offset + limit]:
+            item = unpack(name, items[name])
             size += _size_of(item)
             if page and size > _MOST_BYTES:
                 break
@@ -86,8 +90,8 @@ class SampleIndex:
 
     def _take_added(self) -> None:
         while self._added:
-            item = self._added.popleft()
-            self._stored[item.name] = item
+            name, packed = self._added.popleft()
+            self._stored[name] = packed
             self._order.clear()
 
     def _newest_first(self, binned: bool) -> list[str]:

@@ -155,7 +155,7 @@ def test_a_page_fits_into_an_answer_however_much_is_in_the_samples(tmp_path: Pat
     many = tuple(object_label(number).model_copy(update={"name": "x" * 60}) for number in range(16))
     for number in range(300):
         label = label_for(number).model_copy(update={"objects": many})
-        index._stored[label.sample] = item_of(label.sample, stored(label))
+        index.add(item_of(label.sample, stored(label)))
     offset, seen, pages = 0, 0, 0
     while True:
         page = index.page(SampleFilter(), offset, 500)
