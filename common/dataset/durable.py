@@ -26,17 +26,15 @@ def is_temporary(file_name: str) -> bool:
     return file_name.startswith(_TEMPORARY_PREFIX) and file_name.endswith(_TEMPORARY_SUFFIX)
 
 
-def write_bytes(path: Path, data: bytes | memoryview, *, cached: bool = True) -> None:
+def write_bytes(path: Path, data: bytes | memoryview) -> None:
     """Write ``data`` durably to ``path``, which is replaced at once or not at all.
-
-    ``cached``: whether the kernel is to keep it in memory too, for whoever reads it soon.
 
     Returns when the data and the name are on the disk. Raises OSError (disk full, read-only, folder gone);
     the temporary file is removed then, and an older ``path`` is untouched.
     """
     temporary = temporary_path(path)
     try:
-        _write_and_sync(temporary, data, cached)
+        _write_and_sync(temporary, data)
         temporary.replace(path)
     except BaseException:
         # What can't be removed on a broken disk is removed by the next start's recovery; the first error counts.
@@ -70,14 +68,11 @@ def make_folder(folder: Path) -> None:
     sync_folder(folder.parent)
 
 
-def _write_and_sync(path: Path, data: bytes | memoryview, cached: bool) -> None:
+def _write_and_sync(path: Path, data: bytes | memoryview) -> None:
     descriptor = os.open(path, os.O_WRONLY | os.O_CREAT | os.O_TRUNC | os.O_CLOEXEC, 0o644)
     try:
         _write_all(descriptor, data)
         os.fsync(descriptor)
-        if not cached:
-            with contextlib.suppress(OSError):  # a file system that takes no advice has the file all the same
-                os.posix_fadvise(descriptor, 0, 0, os.POSIX_FADV_DONTNEED)
     finally:
         os.close(descriptor)
 

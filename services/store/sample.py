@@ -64,8 +64,7 @@ def write_sample(
         for kind, data in encoded.items():
             if kind == "original":  # made when it is first needed: `keep_original` may come with a reload
                 (session / kind).mkdir(exist_ok=True)
-            # Seldom read soon: the next picture gets the same memory, and the machine's cache is left to others.
-            write_bytes(session / files[kind].path, data, cached=False)
+            write_bytes(session / files[kind].path, data)
         write_bytes(session / label_path(label.sample), text)
     except BaseException:
         discard(session, label.sample, coding)

@@ -50,16 +50,6 @@ def test_data_is_synced_before_the_name_and_the_name_after(tmp_path: Path, monke
     assert seen == ["fsync .a.bin.tmp", "rename .a.bin.tmp a.bin", f"fsync {tmp_path.name}"]
 
 
-def test_what_is_not_kept_in_memory_is_as_durable(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    seen: list[str] = []
-    for name in ("fsync", "posix_fadvise", "replace"):
-        real = getattr(os, name)
-        monkeypatch.setattr(os, name, lambda *args, name=name, real=real: (seen.append(name), real(*args)))
-    write_bytes(tmp_path / "a.bin", b"data" * 100_000, cached=False)
-    assert seen == ["fsync", "posix_fadvise", "replace", "fsync"]
-    assert (tmp_path / "a.bin").read_bytes() == b"data" * 100_000
-
-
 def test_a_write_that_fails_in_the_middle_leaves_the_old_file_and_no_other(tmp_path: Path) -> None:
     path = tmp_path / "a.bin"
     write_bytes(path, b"old")

@@ -48,8 +48,8 @@ def test_the_label_comes_last(session: Path, monkeypatch: pytest.MonkeyPatch) ->
     order: list[str] = []
     write = sample_module.write_bytes
 
-    def spy(path: Path, data: bytes, *, cached: bool = True) -> None:
-        write(path, data, cached=cached)
+    def spy(path: Path, data: bytes) -> None:
+        write(path, data)
         order.append(path.parent.name)
 
     monkeypatch.setattr(sample_module, "write_bytes", spy)
