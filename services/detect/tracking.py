@@ -1,8 +1,8 @@
 """Follow known markers from frame to frame instead of searching each picture.
 
 Pure state machine around a detector: a full search, then looks at where the known markers must be, predicted with
-constant velocity. A marker that isn't there brings a full search in the same frame; a marker that enters
-the picture is found by the next full search, at most ``SEARCH_EVERY`` frames later.
+constant velocity, and if one isn't there, at where it was. If it isn't there either, the same frame is searched whole;
+one that enters the picture is found by the next full search, at most ``SEARCH_EVERY`` frames later.
 
 Of a live camera that search can come after the frame's markers are told (``later``, then ``look_around``), and a
 frame sooner: it takes several times as long as following, and the frame need not wait for what enters only now. It
@@ -126,11 +126,17 @@ class Tracker:
         self._since_search += 1
         if self._follower is None or not self._tracks or self._since_search >= SEARCH_EVERY:
             return None
-        expected = [track.expected() for track in self._tracks]
-        found = [one for one in self._follower.follow(grey, expected) if one is not None]
+        found = self._follower.follow(grey, [track.expected() for track in self._tracks])
+        missed = [k for k, one in enumerate(found) if one is None]
+        if missed:
+            # What turned round is as far from where it was as it moved, and twice as far from the prediction.
+            again = self._follower.follow(grey, [self._tracks[k].seen for k in missed])
+            for k, one in zip(missed, again, strict=True):
+                found[k] = one
+        there = [one for one in found if one is not None]
         # Two of equal id must not end on one marker.
-        apart = merged([(one.id, np.array(one.corners)) for one in found])
-        return found if len(apart) == len(expected) else None
+        apart = merged([(one.id, np.array(one.corners)) for one in there])
+        return there if len(apart) == len(found) else None
 
     def _velocity(self, marker: DetectedMarker) -> Array:
         """How the marker's corners moved since the last frame; 0 for one that wasn't known."""

@@ -168,6 +168,15 @@ def test_a_marker_that_jumps_is_found_in_the_same_frame() -> None:
     assert detector.count == 3
 
 
+def test_a_marker_that_turns_round_needs_no_search() -> None:
+    detector = Searches()
+    tracker = Tracker(detector)
+    for number, x in enumerate((100, 105, 110, 115, 110)):  # off by more than a cell of 7.5 px from the prediction
+        (found,) = tracker.detect(frame({5: square(x, 150, 60)}, number))
+        assert np.abs(np.mean(found.corners, axis=0) - (x, 150)).max() < 0.3
+    assert detector.count == 1
+
+
 def test_a_marker_that_leaves_is_given_up_and_the_others_stay() -> None:
     detector = Searches()
     tracker = Tracker(detector)
