@@ -64,13 +64,9 @@ class SessionKeeper:
         self._retry_ns: int | None = None
         self._durable = 0
         self._waiters: list[tuple[int, Done]] = []
-        self._urgent = False
-        self._writing = False
-        self._write_failed = False
-        self._looking = False
-        self._next_write_ns = 0
-        self._next_look_ns = 0
-        self._look_began_ns = 0
+        self._urgent = self._writing = self._looking = False
+        self._write_failed = self._tried_once_more = False
+        self._next_write_ns = self._next_look_ns = self._look_began_ns = 0
 
     @property
     def book(self) -> Book | None:
@@ -106,6 +102,13 @@ class SessionKeeper:
         if self._writing or self._waiters or self.phase is Phase.OPENING:
             return False
         return self.book is None or self.book.revision <= self._durable or self._write_failed
+
+    def tries_once_more(self) -> bool:
+        """Before the end, once: whether what could not be written is tried again; the disk may have room by now."""
+        again = self._write_failed and not self._tried_once_more
+        if again:
+            self._tried_once_more, self._write_failed, self._next_write_ns = True, False, 0
+        return again
 
     # --- opening ------------------------------------------------------------------------------------------
 
@@ -191,10 +194,9 @@ class SessionKeeper:
     def _tell(self, session: OpenSession) -> None:
         found = session.inventory
         log = self._log.bind(session=session.folder.name)
-        if found.settled:
-            log.warning("recovery.settled", files=len(found.settled), names=found.settled[:20])
-        if found.removed:
-            log.warning("recovery.removed", files=len(found.removed), names=found.removed[:20])
+        for event, names in (("recovery.settled", found.settled), ("recovery.removed", found.removed)):
+            if names:
+                log.warning(event, files=len(names), names=names[:20])
         if found.orphans:
             log.warning("recovery.left_alone", samples=found.orphans, why="too many pictures without a label")
         if found.damaged:
@@ -273,10 +275,8 @@ class SessionKeeper:
         return now + _SECOND
 
     def _tick_look(self, session: OpenSession, now: int) -> int:
-        if self._looking:
-            return now + _SECOND
-        if now < self._next_look_ns:
-            return self._next_look_ns
+        if self._looking or now < self._next_look_ns:
+            return now + _SECOND if self._looking else self._next_look_ns
         self._looking, self._look_began_ns, self._next_look_ns = True, now, now + _LOOK_EVERY_NS
         folder, reserve = session.folder, self._reserve
         self._disk_thread.submit(lambda: look(folder, _WORKED_IN, reserve), self._looked)

@@ -137,7 +137,9 @@ class StoreService:
         if now - self._desk.newest_answer_ns < _ON_ITS_WAY_NS:
             return False
         waits_for_last_word = self._keeper.book is not None and self._keeper.book.running()
-        return not waits_for_last_word or now - self._desk.newest_order_ns > _QUIET_NS
+        if waits_for_last_word and now - self._desk.newest_order_ns <= _QUIET_NS:
+            return False
+        return not self._keeper.tries_once_more()
 
     def close(self) -> None:
         """End workers and thread, close sockets, release the session; idempotent."""

@@ -104,6 +104,28 @@ def test_a_change_that_can_not_be_written_is_told(loop: Loop) -> None:
     assert answers[1] is None
 
 
+def test_what_could_not_be_written_is_tried_once_more_before_the_end(loop: Loop) -> None:
+    session = loop.keeper.session
+    assert session is not None
+    assert not loop.keeper.tries_once_more(), "all is written"
+    away = session.folder.with_name("away")
+    session.folder.rename(away)
+    answers: list[ErrorInfo | None] = []
+    loop.keeper.when_durable(loop.account(1), answers.append, urgent=True)
+    loop.run_until(lambda: bool(answers))
+    away.rename(session.folder)
+    assert loop.keeper.tries_once_more()
+    assert not loop.keeper.settled
+    loop.run_until(lambda: loop.keeper.settled)
+    assert read_session(session.folder).recordings[spec().recording].cameras["cam0"].captured == 1
+    session.folder.rename(away)
+    loop.keeper.when_durable(loop.account(2), answers.append, urgent=True)
+    loop.run_until(lambda: len(answers) == 2)
+    assert not loop.keeper.tries_once_more(), "once is enough"
+    assert loop.keeper.settled
+    away.rename(session.folder)
+
+
 def test_a_disk_that_does_not_answer_is_told_without_waiting_for_it(
     loop: Loop, monkeypatch: pytest.MonkeyPatch
 ) -> None:
