@@ -22,6 +22,8 @@ ROOM_FOR_FRAMING = 4096
 """Socket-level limits are this much above the codec's, so that only what is far too large costs the connection."""
 
 _BACKLOG = 128
+_LAST_ANSWERS_MS = 1000
+"""What was answered just before the end leaves first: ZeroMQ's own thread may wait for a core longer than that."""
 _READABLE = int(zmq.POLLIN)
 _NOBLOCK = int(zmq.NOBLOCK)
 _MORE = int(zmq.NOBLOCK | zmq.SNDMORE)
@@ -77,7 +79,7 @@ def reply(router: Socket, parts: Sequence[bytes]) -> bool:
 
 
 def end_context() -> None:
-    """Close what the process's context still has open; the last act of a process."""
+    """Close what the process's context still has open; the last act of a process. Last answers are let out first."""
     zmq.Context.instance().destroy(linger=0)
 
 
@@ -115,7 +117,7 @@ class Binding:
         if self._lock is None:
             return
         self._path.unlink(missing_ok=True)
-        self._socket.close(linger=0)
+        self._socket.close(linger=_LAST_ANSWERS_MS)
         self._lock.release()
         self._lock = None
 

@@ -76,7 +76,7 @@ class OrderDesk:
         self.stored = Rate()
         self.bytes_written = 0
         self.steps = StepMeans()
-        self.newest_order_ns = self.newest_answer_ns = 0
+        self.newest_order_ns = 0
 
     @property
     def backlog(self) -> int:
@@ -142,7 +142,6 @@ class OrderDesk:
             self._refuse(return_, order, _info(error))
 
     def _answer(self, return_: Return, answer: Answer) -> None:
-        self.newest_answer_ns = clock.monotonic_ns()
         self._give_answer(return_, answer)
 
     def _refuse(self, return_: Return, order: Order, error: ErrorInfo) -> None:

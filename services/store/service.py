@@ -30,9 +30,6 @@ from services.store.writer import Writer
 _QUIET_NS = 500_000_000
 """A store that drains while recordings run waits this long for the last word about them."""
 
-_ON_ITS_WAY_NS = 100_000_000
-"""A socket that closes drops what it hasn't sent yet, so the last answer gets this long to leave."""
-
 _CLOSE_S = 1.0
 
 
@@ -133,11 +130,8 @@ class StoreService:
         assert self._keeper is not None
         if not self._desk.idle:
             return False
-        now = clock.monotonic_ns()
-        if now - self._desk.newest_answer_ns < _ON_ITS_WAY_NS:
-            return False
         waits_for_last_word = self._keeper.book is not None and self._keeper.book.running()
-        if waits_for_last_word and now - self._desk.newest_order_ns <= _QUIET_NS:
+        if waits_for_last_word and clock.monotonic_ns() - self._desk.newest_order_ns <= _QUIET_NS:
             return False
         return not self._keeper.tries_once_more()
 

@@ -43,7 +43,7 @@ from common.messages import (
 )
 
 WIDTH, HEIGHT = 64, 48
-ANSWER_S = 20.0
+ANSWER_S = 60.0
 START_NS = 1_788_000_000_000_000_000
 
 
