@@ -29,8 +29,8 @@ from tools.report.table import print_table
 from tools.stack.running import running_stack, wait_ready
 
 CAMERAS = ("cam0", "cam1")
-SLOPE_FROM_S = 1200.0
-"""A shorter run says nothing of memory: caches and allocators still fill."""
+SLOPE_OVER_S = 900.0
+"""A shorter time says nothing of memory: caches and allocators still fill."""
 FLAT_MB_PER_HOUR = 12.0
 _LOOKS = 200
 _WARM_UP = 0.25
@@ -39,13 +39,14 @@ _OBJECTS = Path(__file__).resolve().parents[1] / "demo" / "rig.yaml"
 
 @dataclass
 class Growth:
-    """One service with its workers: memory (MB, unique set), file descriptors, at the end of the warm-up and now.
+    """One service with its workers, at each look after the warm-up: memory (MB, unique set), descriptors, processes.
 
-    ``mb_per_hour``: least squares over all looks after the warm-up; None where the run was too short to say.
+    ``mb_per_hour``: see ``slope``; None where it can't be told.
     """
 
     memory_mb: list[float] = field(default_factory=list)
     descriptors: list[int] = field(default_factory=list)
+    processes: list[int] = field(default_factory=list)
     at_s: list[float] = field(default_factory=list)
     mb_per_hour: float | None = None
 
@@ -145,20 +146,23 @@ def soak(rig: Path, seconds: float, every_s: float) -> Soaked:
         stopped = client.request({"command": "stop"}, timeout_s=60.0)
     restarted = [name for name, pid in pids.items() if int(status["services"][name]["pid"]) != pid]
     recorded = sum(one["recorded"] for ledger in stopped["ledgers"] for one in ledger["cameras"].values())
-    _fit(growth, seconds)
+    for one in growth.values():
+        one.mb_per_hour = slope(one)
     return Soaked(seconds, recorded, growth, (segments[0], segments[-1]), restarted)
 
 
 def _look(pids: Mapping[str, int], growth: Mapping[str, Growth], elapsed_s: float) -> None:
     for name, pid in pids.items():
-        memory, descriptors = 0, 0
+        memory, descriptors, processes = 0, 0, 0
         with suppress(psutil.NoSuchProcess):
             parent = psutil.Process(pid)
             for process in (parent, *parent.children(recursive=True)):
                 memory += process.memory_full_info().uss
                 descriptors += process.num_fds()
+                processes += 1
         growth[name].memory_mb.append(round(memory / 1e6, 2))
         growth[name].descriptors.append(descriptors)
+        growth[name].processes.append(processes)
         growth[name].at_s.append(round(elapsed_s, 1))
 
 
@@ -166,10 +170,14 @@ def _segments(prefix: str) -> int:
     return sum(path.name.startswith(f"tagmill-{prefix}-") for path in shm_folder().iterdir())
 
 
-def _fit(growth: Mapping[str, Growth], seconds: float) -> None:
-    for one in growth.values():
-        if seconds >= SLOPE_FROM_S and len(one.at_s) > 2:
-            one.mb_per_hour = round(3600 * float(np.polyfit(one.at_s, one.memory_mb, 1)[0]), 2)
+def slope(one: Growth) -> float | None:
+    """MB an hour by least squares, over the looks since a worker was last begun or ended; None if that is too short."""
+    counts = one.processes
+    since = max((look for look in range(1, len(counts)) if counts[look] != counts[look - 1]), default=0)
+    at_s, memory_mb = one.at_s[since:], one.memory_mb[since:]
+    if len(at_s) < 3 or at_s[-1] - at_s[0] < SLOPE_OVER_S:
+        return None
+    return round(3600 * float(np.polyfit(at_s, memory_mb, 1)[0]), 2)
 
 
 def _print(soaked: Soaked) -> None:
@@ -181,11 +189,14 @@ def _print(soaked: Soaked) -> None:
             "-" if one.mb_per_hour is None else f"{one.mb_per_hour:+.1f}",
             f"{one.descriptors[0]} ({min(one.descriptors)}-{max(one.descriptors)})",
             str(one.descriptors[-1]),
+            f"{min(one.processes)}-{max(one.processes)}",
         ]
         for name, one in soaked.services.items()
     ]
     title = f"{soaked.seconds / 60:.0f} minutes, {soaked.samples} samples recorded; MB: what the processes would free"
-    print_table(Console(highlight=False), title, ("", "MB first", "last", "MB/h", "fds first", "last"), rows)
+    print_table(
+        Console(highlight=False), title, ("", "MB first", "last", "MB/h", "fds first", "last", "processes"), rows
+    )
     print(f"segments of shared memory: {soaked.segments[0]} first, {soaked.segments[1]} last")
     for line in soaked.complaints or ["nothing grew"]:
         print(line)
