@@ -17,7 +17,7 @@ from multiprocessing.connection import Connection
 from multiprocessing.process import BaseProcess
 from typing import Generic, TypeVar
 
-from common import clock, log
+from common import clock, early_nice, log
 from common.service.worker import Failure, Told, serve
 
 J = TypeVar("J")
@@ -79,7 +79,7 @@ class Crew(Generic[J, R]):
     place is filled when it is surely gone: two never work on one job. (A job that is begun just as an urgent one comes
     can have that one blamed for its end.)
 
-    Workers are niced by ``nice``, but for urgent jobs (``first``).
+    Workers are niced by ``nice`` from their first moment, but for urgent jobs (``first``).
 
     A worker ends with the thread that made the crew, and has a process group of its own: a signal to the service's
     group is for the service, which then drains. It logs as the service does, at its level of the moment (``worker.job``
@@ -157,8 +157,10 @@ class Crew(Generic[J, R]):
 
     def _started(self) -> _Worker[J]:
         ours, its = _SPAWN.Pipe()
-        told = (its, os.getpid(), log.service(), log.level(), self._nice)
-        process = _SPAWN.Process(target=serve, args=(*told, *self._start_with), daemon=True)
+        told = (its, os.getpid(), log.service(), log.level())
+        process = _SPAWN.Process(
+            target=serve, args=(*told, *self._start_with), name=early_nice.name_of(self._nice), daemon=True
+        )
         process.start()
         its.close()
         news = select.poll()  # the pipe's own `poll` makes a new one at each call, and this one is asked all the time

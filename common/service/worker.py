@@ -1,15 +1,14 @@
 """A worker process's life: jobs come by a pipe, answers go back by it; what is urgent goes first, at full priority.
 
-A worker is niced, so on a busy machine a job takes ten times as long as its work. Niceness belongs to a thread on
-Linux, and nobody may take it back without rights: so the urgent jobs are done by a second thread, which keeps the
-priority that the process was started with. The two never work at once: what they work with isn't made for that.
+A worker is niced, so on a busy machine a job takes ten times as long as its work. The urgent jobs are done by a second
+thread, which keeps the priority that the process was started with (``common.early_nice``). The two never work at once:
+what they work with isn't made for that.
 """
 
 from __future__ import annotations
 
 import os
 import signal
-import threading
 import traceback
 from collections import deque
 from collections.abc import Callable
@@ -19,7 +18,7 @@ from multiprocessing.connection import Connection
 from queue import SimpleQueue
 from typing import Generic, TypeVar
 
-from common import clock, log
+from common import clock, early_nice, log
 from common.log import Level
 from common.service.memory import keep_all
 from common.service.parent import die_with_parent
@@ -51,12 +50,12 @@ def serve(
     parent: int,
     service: str | None,
     level: Level,
-    nice: int,
     work: Callable[[J], R],
     prepare: Callable[..., None],
     prepared_with: tuple[object, ...],
 ) -> None:
     """A worker's life: says None once it is ready, then ``(key, result)`` for each job; ends with the pipe."""
+    early_nice.begin()
     os.setpgid(0, 0)
     signal.signal(signal.SIGINT, signal.SIG_IGN)
     if not die_with_parent(parent, signal.SIGKILL):
@@ -67,7 +66,7 @@ def serve(
     keep_all()
     with suppress(EOFError, ConnectionError):  # the service has closed the pipe: nothing more to do
         pipe.send(None)
-        _Turns(pipe, work).run(nice)
+        _Turns(pipe, work).run()
     log.shutdown()
 
 
@@ -80,10 +79,9 @@ class _Turns(Generic[J, R]):
         self._urgent: SimpleQueue[Told[J]] = SimpleQueue()
         self._urgent_done: SimpleQueue[None] = SimpleQueue()
 
-    def run(self, nice: int) -> None:
+    def run(self) -> None:
         """Do the jobs until the pipe's end; raises EOFError there."""
-        threading.Thread(target=self._do_urgent, name="urgent", daemon=True).start()
-        os.nice(nice)
+        early_nice.run_beside(self._do_urgent)
         while True:
             while not self._ordinary or self._pipe.poll(0):
                 self._hear(self._pipe.recv())

@@ -8,11 +8,12 @@ import threading
 from pathlib import Path
 
 _base = 0
+_nice_at_first = 0
 
 
 def prepare(base: int) -> None:
-    global _base
-    _base = base
+    global _base, _nice_at_first
+    _base, _nice_at_first = base, os.getpriority(os.PRIO_PROCESS, 0)
 
 
 def refuse_to_start(_base: int) -> None:
@@ -37,6 +38,8 @@ def work(job: str | int) -> int:
             return os.getpid()
         case ["nice"]:
             return os.getpriority(os.PRIO_PROCESS, 0)
+        case ["nice", "at", "first"]:
+            return _nice_at_first
         case ["until", pipe]:
             Path(pipe).read_bytes()  # until its other end was opened and closed
             return _base

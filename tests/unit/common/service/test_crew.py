@@ -99,7 +99,9 @@ def test_workers_are_niced_but_for_what_is_urgent(place: Place) -> None:
     with closing(Crew(crew_jobs.work, crew_jobs.prepare, (0,), nice=5)) as crew:
         crew.submit("ordinary", "nice")
         crew.submit("urgent", "nice", first=True)
-        assert results(crew, 2) == {"ordinary": min(own + 5, 19), "urgent": own}
+        crew.submit("its start", "nice at first")
+        niced = min(own + 5, 19)
+        assert results(crew, 3) == {"ordinary": niced, "urgent": own, "its start": niced}
 
 
 def test_a_bug_costs_its_job_and_no_worker(crew: Crew[str | int, int]) -> None:
