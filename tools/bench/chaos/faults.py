@@ -21,6 +21,7 @@ from tools.bench.chaos.stack import Stack, send, until
 
 EVERYTHING = "everything"
 _CROWD_S = 60.0
+_TRIES = 100
 _COMMAND_S = 600.0
 _BUSY_S = 20.0
 _SLOW_S, _QUICK_S = 0.4, 0.1
@@ -183,14 +184,26 @@ def _shm_full(stack: Stack, fault: Fault) -> Iterator[None]:
     filler = folder / "filler"
     try:
         with filler.open("wb") as file:
-            free = os.statvfs(folder)
-            os.posix_fallocate(file.fileno(), 0, max(free.f_bavail * free.f_frsize, 1))
+            _take_all(file.fileno())
         send(stack.pid(fault.target), signal.SIGKILL)
         yield
     finally:
         filler.unlink(missing_ok=True)
         for descriptor in held:
             os.close(descriptor)
+
+
+def _take_all(descriptor: int) -> None:
+    """All that is free of a file's disk; the stack takes and gives back meanwhile."""
+    taken = 0
+    for _ in range(_TRIES):
+        told = os.fstatvfs(descriptor)
+        free = told.f_bavail * told.f_frsize
+        if not free:
+            return
+        with suppress(OSError):  # somebody else was faster: look again
+            os.posix_fallocate(descriptor, taken, free)
+            taken += free
 
 
 @contextmanager
