@@ -63,7 +63,7 @@ class OrderDesk:
         tell: Tell,
         run_dir: Path,
     ) -> None:
-        self._keeper, self._writer, self._disk, self._wanted, self._give_answer = keeper, writer, disk, wanted, answer
+        self._keeper, self._writer, self._disk, self._wanted, self._answer = keeper, writer, disk, wanted, answer
         self._run_dir = run_dir
         self._remembering = 0
         self._accounts = Accounts(keeper, disk, self._answer, self._refuse)
@@ -140,9 +140,6 @@ class OrderDesk:
                     raise RefusedError(f"the store takes no {type(order).__name__}", code="bad_order")
         except TagmillError as error:
             self._refuse(return_, order, _info(error))
-
-    def _answer(self, return_: Return, answer: Answer) -> None:
-        self._give_answer(return_, answer)
 
     def _refuse(self, return_: Return, order: Order, error: ErrorInfo) -> None:
         self.refused.add(error.code)
