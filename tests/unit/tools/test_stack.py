@@ -17,6 +17,7 @@ from common.config import Rig, load_rig
 from common.errors import EXIT_NAME_TAKEN, ConfigError, NameTakenError
 from common.frames import FrameWriter, segment_name, shm_folder
 from services.store.choice import CHOICE_FILE
+from tests.support.hygiene import Place
 from tools.stack.console import no_console
 from tools.stack.down import stop
 from tools.stack.leftovers import clear, living
@@ -28,10 +29,8 @@ DEPLOY = ROOT / "deploy"
 
 
 @pytest.fixture
-def endpoints(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Endpoints:
+def endpoints(tmp_path: Path, place: Place, monkeypatch: pytest.MonkeyPatch) -> Endpoints:
     """A stack of this test's own, its shared memory included."""
-    monkeypatch.setenv("TAGMILL_RUN_DIR", str(tmp_path / "r"))
-    monkeypatch.setenv("TAGMILL_PREFIX", f"t{abs(hash(tmp_path)) % 10**8}")
     monkeypatch.setenv("TAGMILL_SHM_DIR", str(tmp_path))
     made = Endpoints.of(load_rig(DEPLOY / "examples" / "synthetic.yaml").config.network)
     made.prepare()
