@@ -12,6 +12,9 @@ Matrix3 = tuple[Vector3, Vector3, Vector3]
 
 
 class Part(BaseModel):
-    """A frozen part of a label; unknown fields are refused."""
+    """A frozen part of a label; unknown fields are refused.
 
-    model_config = ConfigDict(frozen=True, extra="forbid", populate_by_name=True)
+    Pydantic keeps the last 16,000 strings that it has read, and no two labels have the same: they are read without.
+    """
+
+    model_config = ConfigDict(frozen=True, extra="forbid", populate_by_name=True, cache_strings="keys")

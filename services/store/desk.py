@@ -195,7 +195,7 @@ class OrderDesk:
 
     def _written(self, order: StoreOrder, written: Written) -> None:
         if written.error is None and order.key not in self._keeper.samples:
-            self._keeper.samples.add(order.key)
+            self._keeper.samples.add(order.label.sample)  # the very string that the list of samples keeps, too
             self.stored.mark()
             self.bytes_written += written.bytes
             self.steps.add(written.laps)

@@ -1,5 +1,7 @@
+import gc
 import json
 import math
+import tracemalloc
 from collections.abc import Callable
 from pathlib import Path
 
@@ -125,3 +127,22 @@ def test_png_is_lossless(picture: np.ndarray) -> None:
 def test_what_png_can_not_hold_is_an_error(picture: np.ndarray) -> None:
     with pytest.raises(ValueError, match="can't be stored as PNG"):
         encode_png(picture)
+
+
+def test_nothing_of_a_sample_stays_in_memory(session: Path) -> None:
+    colour, depth = pixels(0)
+
+    def store(frames: range) -> None:
+        for frame in frames:
+            write_sample(session, label_for(frame), {"rgb": colour, "depth": depth}, reserve=0)
+
+    store(range(20))
+    gc.collect()
+    tracemalloc.start()
+    try:
+        store(range(20, 60))
+        gc.collect()
+        kept, _ = tracemalloc.get_traced_memory()
+    finally:
+        tracemalloc.stop()
+    assert kept < 40 * 100, "some of pydantic's cache of strings was 400 bytes a sample"
