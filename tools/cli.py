@@ -18,9 +18,8 @@ from pathlib import Path
 from types import ModuleType
 from typing import NamedTuple
 
-from common.errors import EXIT_OK, EXIT_USAGE, ConfigError, TagmillError
+from common.errors import EXIT_INTERRUPTED, EXIT_OK, EXIT_USAGE, ConfigError, TagmillError
 
-EXIT_INTERRUPTED = 130
 DEFAULT_RIG = Path("rig.yaml")
 
 

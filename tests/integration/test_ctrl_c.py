@@ -14,11 +14,10 @@ import pytest
 
 from common.bus import CommandClient, Endpoints
 from common.config.models import NetworkConfig
-from common.errors import EXIT_NAME_TAKEN
+from common.errors import EXIT_INTERRUPTED, EXIT_NAME_TAKEN
 from tests.support.hygiene import Place, processes_of
 from tests.support.stack import wait_for
 from tests.support.supervised import DEADLINE_S, NO_PAGE, failed, logs
-from tools.cli import EXIT_INTERRUPTED
 from tools.stack.down import stop
 from tools.stack.programs import LOG_FOLDER, SOCKET_FILE
 from tools.stack.running import wait_ready
@@ -161,6 +160,25 @@ def test_a_signal_ends_everything(moment: Callable[[Up], None], number: signal.S
     ended = stop(up.endpoints, DEADLINE_S)
     assert (ended.ran, ended.alive) == (False, ())
     assert up.left() == []
+
+
+def test_a_benchmark_that_is_told_to_end_takes_its_stack_with_it(place: Place, monkeypatch: pytest.MonkeyPatch) -> None:
+    place.run_root.mkdir()
+    monkeypatch.setenv("TMPDIR", str(place.run_root))
+    bench = subprocess.Popen([sys.executable, "-m", "tools", "bench", "soak", "--minutes", "5", "--size", "320x240"])
+    try:
+        wait_for(lambda: len(_stack_of(bench.pid)) >= 9, DEADLINE_S, "the services and their workers")
+        bench.terminate()
+        assert bench.wait(DEADLINE_S) == EXIT_INTERRUPTED
+    finally:
+        bench.kill()
+        bench.wait()
+    assert _stack_of(bench.pid) == {}
+    assert list(place.run_root.iterdir()) == []
+
+
+def _stack_of(soak: int) -> dict[int, str]:
+    return processes_of(f"soak-{soak}")
 
 
 # --- a second start

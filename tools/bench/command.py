@@ -4,8 +4,8 @@ from __future__ import annotations
 
 import argparse
 
-from tools.sub_commands import add_names
-from tools.sub_commands import run_name as run
+from tools.stack.running import interrupt_by_sigterm
+from tools.sub_commands import add_names, run_name
 
 __all__ = ["BENCHES", "add_parser", "run"]
 
@@ -26,3 +26,9 @@ BENCHES = {
 def add_parser(parser: argparse.ArgumentParser) -> None:
     """One sub-command a benchmark."""
     add_names(parser, BENCHES)
+
+
+def run(args: argparse.Namespace) -> int:
+    """Run the benchmark that was typed."""
+    interrupt_by_sigterm()
+    return run_name(args)

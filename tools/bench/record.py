@@ -124,16 +124,10 @@ def run(args: argparse.Namespace) -> int:
     if free < needed + _RESERVE_BYTES:
         print(f"bench record: {args.root} has {free / 1e9:.1f} GB free; it needs {needed / 1e9:.1f} and 1 to spare")
         return EXIT_USAGE
-    signal.signal(signal.SIGTERM, _end)
     with tempfile.TemporaryDirectory(prefix="tagmill-record-", dir=args.root) as folder:
         result = _measure(Path(folder).absolute(), args)
     print(json.dumps(asdict(result))) if args.json else print_record(result, args.seconds)
     return EXIT_OK
-
-
-def _end(_signal: int, _frame: object) -> None:
-    """A benchmark that is told to end takes its stack and its gigabytes with it."""
-    raise SystemExit(128 + signal.SIGTERM)
 
 
 def _needed(source: str, seconds: float) -> int:

@@ -62,7 +62,6 @@ def run(args: argparse.Namespace) -> int:
     if size is None or not positive or (args.keep is not None and args.keep.exists()):
         print("bench stall: --size is WxH, times and numbers are above 0, and the folder of --keep must not exist")
         return EXIT_USAGE
-    signal.signal(signal.SIGTERM, _end)
     with tempfile.TemporaryDirectory(prefix="tagmill-stall-") as name:
         folder = Path(name)
         os.environ["TAGMILL_RUN_DIR"] = name
@@ -84,11 +83,6 @@ def run(args: argparse.Namespace) -> int:
 def _sockets(folder: str, names: list[str]) -> list[str]:
     """What can't be copied."""
     return [name for name in names if (Path(folder) / name).is_socket()]
-
-
-def _end(_signal: int, _frame: object) -> None:
-    """A benchmark that is told to end takes its stack with it, and leaves nothing stopped."""
-    raise SystemExit(128 + signal.SIGTERM)
 
 
 def write_rig(folder: Path, args: argparse.Namespace, size: tuple[int, int]) -> Path:

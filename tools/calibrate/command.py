@@ -17,7 +17,7 @@ from common.calibration.candidates import steps
 from common.calibration.kept import Places, places, save_views
 from common.calibration.verdict import verdict
 from common.config import read_calibration, write_calibration
-from common.errors import EXIT_OK, EXIT_REFUSED, ConfigError, RefusedError
+from common.errors import EXIT_INTERRUPTED, EXIT_OK, EXIT_REFUSED, ConfigError, RefusedError
 from tools.calibrate import convert, extrinsics
 from tools.calibrate.board_options import add_board_options
 from tools.calibrate.events import Events
@@ -26,8 +26,6 @@ from tools.calibrate.measured import HONEST, judge_measured, parse_measured
 from tools.calibrate.report import write_report
 from tools.calibrate.result import document, label_of, quality_of
 from tools.calibrate.words import said
-
-EXIT_INTERRUPTED = 130
 
 
 def add_parser(parser: argparse.ArgumentParser) -> None:

@@ -18,12 +18,12 @@ from common import clock
 from common.bus import CommandClient, Endpoints, Subscriber
 from common.config import load_rig
 from common.dataset import SessionReader
-from common.errors import EXIT_REFUSED, EXIT_USAGE, TagmillError
+from common.errors import EXIT_INTERRUPTED, EXIT_REFUSED, EXIT_USAGE, TagmillError
 from common.messages import TrueObject, Truth
 from common.topics import TRUTH
 from tools.demo.show import show
 from tools.stack.programs import CAMERAS_FOLDER, CONFIG_FILE, ROOT
-from tools.stack.running import running_stack, wait_ready
+from tools.stack.running import interrupt_by_sigterm, running_stack, wait_ready
 
 RIG = Path(__file__).with_name("rig.yaml")
 SECOND_CAMERA = ROOT / "deploy" / "examples" / "conf.d"
@@ -42,6 +42,7 @@ def main(argv: list[str] | None = None) -> int:
     if out.exists() and any(out.iterdir()) and not (out / "dataset" / "demo").is_dir():
         console.print(f"{out} holds something else than an earlier demo; name another folder with --out.")
         return EXIT_USAGE
+    interrupt_by_sigterm()
     shutil.rmtree(out, ignore_errors=True)
     out.mkdir(parents=True)
     rig_path = Path(shutil.copy(RIG, out / "rig.yaml"))
@@ -54,6 +55,9 @@ def main(argv: list[str] | None = None) -> int:
         except TagmillError as error:
             console.print(f"[bold]The demo failed:[/] {error.message}\nThe stack's log is {out / 'stack.log'}")
             return error.exit_code
+        except KeyboardInterrupt:
+            console.print(f"Interrupted. What there is lies in {out}; the next run begins anew.")
+            return EXIT_INTERRUPTED
         left = sorted(path.name for path in Path("/dev/shm").glob(f"tagmill-{prefix}-*"))  # noqa: S108 - where rings are
     session = SessionReader(out / "dataset" / "demo")
     good = show(session, truths, out / "contact-sheet.png", console)

@@ -16,15 +16,13 @@ import cv2
 from rich.console import Console
 from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, TimeRemainingColumn
 
-from common.errors import EXIT_OK, EXIT_REFUSED
+from common.errors import EXIT_INTERRUPTED, EXIT_OK, EXIT_REFUSED
 from tools.dataset.deriving import session_named
 from tools.export.check import Checks, check_export
 from tools.export.options import add_options, folder_of, options_of
 from tools.export.plan import Plan, left_out_words, plan_export
 from tools.export.registry import known_formats, load_exporter
 from tools.export.write import Done, Prepared, prepare, write
-
-EXIT_INTERRUPTED = 130
 
 
 def add_parser(parser: argparse.ArgumentParser) -> None:

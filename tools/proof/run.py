@@ -14,14 +14,14 @@ from pathlib import Path
 
 from rich.console import Console
 
-from common.errors import EXIT_OK, EXIT_REFUSED, EXIT_USAGE, TagmillError
+from common.errors import EXIT_INTERRUPTED, EXIT_OK, EXIT_REFUSED, EXIT_USAGE, TagmillError
 from tools.proof.record import CAMERA_NAME, export, record
 from tools.proof.scenes import Room, class_names, render_test, render_training
 from tools.proof.score import score
 from tools.proof.show import REPORT, judge, plain, show, write_sheet
 from tools.proof.training import Recipe, interpreter, train
+from tools.stack.running import interrupt_by_sigterm
 
-EXIT_INTERRUPTED = 130
 _TEST_SEEDS = 50_000
 """Seeds of rooms that no training has seen begin here."""
 
@@ -29,6 +29,7 @@ _TEST_SEEDS = 50_000
 def main(argv: list[str] | None = None) -> int:
     """Run the proof; 0 if training on erased pictures is nearly as good as on marker-free ones, and better than raw."""
     args = _arguments(argv)
+    interrupt_by_sigterm()
     console = Console(highlight=False)
     out: Path = args.out.resolve()
     if out.exists() and any(out.iterdir()) and not (out / "frames").is_dir():

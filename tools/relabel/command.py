@@ -17,14 +17,13 @@ from rich.console import Console
 from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, TimeRemainingColumn
 
 from common.dataset import read_session
-from common.errors import EXIT_OK, RefusedError
+from common.errors import EXIT_INTERRUPTED, EXIT_OK, RefusedError
 from tools.dataset.deriving import beside, session_named
 from tools.relabel.diff import MEASURES, Difference, difference
 from tools.relabel.recipe import Recipe, recipe_of
 from tools.relabel.session import Done, Tick, relabel
 from tools.report.table import print_table
 
-EXIT_INTERRUPTED = 130
 _SUFFIX = "-relabelled"
 _SHOWN = 5
 _WORDS = {

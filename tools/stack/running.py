@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import os
+import signal
 import subprocess
 import sys
 from collections.abc import Callable, Collection, Iterator, Mapping
@@ -33,6 +34,11 @@ def running_stack(rig: Path, log: Path, environment: Mapping[str, str] | None = 
             except subprocess.TimeoutExpired:
                 stack.kill()
                 stack.wait()
+
+
+def interrupt_by_sigterm() -> None:
+    """Have SIGTERM do what Ctrl-C does: a command that is told to end takes its stack and its files with it."""
+    signal.signal(signal.SIGTERM, signal.default_int_handler)
 
 
 def _command(name: str, rig: Path) -> list[str]:

@@ -18,9 +18,9 @@ import pytest
 from common.bus import CommandServer, Endpoints, Poller
 from common.commands import COMMANDS
 from common.config.models import NetworkConfig
-from common.errors import EXIT_BAD_CONFIG, EXIT_NO_ANSWER, EXIT_OK, EXIT_REFUSED, EXIT_USAGE
+from common.errors import EXIT_BAD_CONFIG, EXIT_INTERRUPTED, EXIT_NO_ANSWER, EXIT_OK, EXIT_REFUSED, EXIT_USAGE
 from services.control.describe import help_answer
-from tools.cli import EXIT_INTERRUPTED, SUB_COMMANDS, build_parser, main
+from tools.cli import SUB_COMMANDS, build_parser, main
 from tools.commands.client import network_of
 from tools.dataset.command import ACTIONS
 
