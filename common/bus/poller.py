@@ -8,9 +8,7 @@ from typing import Protocol
 
 import zmq
 
-from common.bus.sockets import Socket
-
-_READABLE = int(zmq.POLLIN)
+from common.bus.sockets import READABLE, Socket
 
 
 class SocketOwner(Protocol):
@@ -57,7 +55,7 @@ class Poller:
             select.select((), (), (), max(0.0, timeout_s))  # zmq would return at once, and its caller spin
             return False
         if parts != self._made_of:
-            self._made = [(part, _READABLE) for part in parts]
+            self._made = [(part, READABLE) for part in parts]
             self._made_of = parts
         # What zmq.Poller calls; its caller finds it in the cache when it asks what there is to read.
         return bool(zmq.zmq_poll(self._made, max(0, math.ceil(timeout_s * 1000))))

@@ -24,7 +24,7 @@ ROOM_FOR_FRAMING = 4096
 _BACKLOG = 128
 _LAST_ANSWERS_MS = 1000
 """What was answered just before the end leaves first: ZeroMQ's own thread may wait for a core longer than that."""
-_READABLE = int(zmq.POLLIN)
+READABLE = int(zmq.POLLIN)
 _NOBLOCK = int(zmq.NOBLOCK)
 _MORE = int(zmq.NOBLOCK | zmq.SNDMORE)
 """Plain numbers: a live frame's news finds cold caches, where each of zmq's enumerations costs 20 us."""
@@ -43,7 +43,7 @@ def new_socket(
 
 def drain(made: Socket, limit: int) -> Iterator[list[bytes]]:
     """The messages that are there, at most ``limit``, without waiting."""
-    wanted = [(made, _READABLE)]
+    wanted = [(made, READABLE)]
     for _ in range(limit):
         # Cheaper than the exception that every drain would end with, and what the Poller has just called.
         if not zmq.zmq_poll(wanted, 0):

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import os
-import socket
 import stat
 from pathlib import Path
 
@@ -15,6 +14,7 @@ import zmq.auth
 
 from common.bus import CommandClient, add_client, create_keys
 from common.errors import EXIT_BAD_CONFIG, NoAnswerError
+from tests.support.ports import free_port
 from tests.support.stack import RIG, Stack, wait_for, write_rig
 
 pytestmark = pytest.mark.process
@@ -48,9 +48,7 @@ def test_nothing_is_open_to_other_users_or_machines(stack: Stack, tmp_path: Path
 @pytest.fixture
 def address(monkeypatch: pytest.MonkeyPatch) -> str:
     """A free port on a second loopback address. Only a stack of the default prefix has its command socket on tcp."""
-    with socket.socket() as probe:
-        probe.bind(("127.0.0.2", 0))
-        return f"tcp://127.0.0.2:{probe.getsockname()[1]}"
+    return f"tcp://127.0.0.2:{free_port('127.0.0.2')}"
 
 
 def asked(address: str, server: bytes | None, own: tuple[bytes, bytes] | None, wait_ms: int) -> bytes | None:

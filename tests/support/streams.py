@@ -18,6 +18,8 @@ import av
 import cv2
 import numpy as np
 
+from tests.support.ports import free_port
+
 WIDTH, HEIGHT, FPS = 160, 120, 25
 SHADES = 8
 DEADLINE_S = 20.0
@@ -47,11 +49,6 @@ def write_h264(path: Path, frames: int = 200) -> Path:
             container.mux(stream.encode(av.VideoFrame.from_ndarray(picture(number), "bgr24")))
         container.mux(stream.encode())
     return path
-
-
-def free_port() -> int:
-    with socket.create_server(("127.0.0.1", 0)) as made:
-        return int(made.getsockname()[1])
 
 
 class RtspServer:

@@ -37,8 +37,8 @@ class SingleShotPose:
         """Picture, label, mask, depth and transform in the folder of each class."""
         files: list[OutFile] = []
         before = covering(shot)
-        for name in export.classes:
-            root, stem = f"LINEMOD/{folder_name(name)}", str(shot.number + 1)
+        for name, own_folder in folders(export.classes).items():
+            root, stem = f"LINEMOD/{own_folder}", str(shot.number + 1)
             own = [(target, before[i]) for i, target in enumerate(shot.targets) if target.class_name == name]
             files.append(picture_file(shot, f"{root}/JPEGImages/{stem}.{shot.change.extension}"))
             files.append(text_file(f"{root}/{_LABELS}/{stem}.txt", "".join(f"{_row(one, shot)}\n" for one, _ in own)))
@@ -63,23 +63,23 @@ class SingleShotPose:
         intrinsics = {"fx": k[0, 0], "fy": k[1, 1], "ppx": k[0, 2], "ppy": k[1, 2], "depth_scale": unit / 1000}
         plain = {key: float(value) for key, value in intrinsics.items()}
         sizes = {"width": first.camera.width, "height": first.camera.height}
-        for name in export.classes:
-            root = f"LINEMOD/{folder_name(name)}"
+        for name, own_folder in folders(export.classes).items():
+            root = f"LINEMOD/{own_folder}"
             files.append(text_file(f"{root}/intrinsics.json", json_text(plain | sizes)))
             for part in export.splits:
                 lines = [f"{root}/JPEGImages/{shot.number + 1}.{shot.change.extension}\n" for shot in export.of(part)]
                 files.append(text_file(f"{root}/{part}.txt", "".join(lines)))
             if name in boxes:
-                files.append(text_file(f"{root}/{folder_name(name)}.ply", ply(boxes[name], scale=0.001)))
-                files.append(text_file(f"cfg/{folder_name(name)}.data", _data(root, name, boxes[name], export)))
+                files.append(text_file(f"{root}/{own_folder}.ply", ply(boxes[name], scale=0.001)))
+                files.append(text_file(f"cfg/{own_folder}.data", _data(own_folder, boxes[name], export)))
         return files
 
     def read(self, folder: Path, export: Export) -> Iterator[tuple[Shot, list[ReadTarget]]]:
         """From the label files of all classes."""
         for shot in export.shots:
             rows: dict[str, list[ReadTarget]] = {}
-            for name in export.classes:
-                path = folder / "LINEMOD" / folder_name(name) / _LABELS / f"{shot.number + 1}.txt"
+            for name, own_folder in folders(export.classes).items():
+                path = folder / "LINEMOD" / own_folder / _LABELS / f"{shot.number + 1}.txt"
                 rows[name] = [_read_row(name, line, shot) for line in read_text(path).splitlines()]
             order = [rows[target.class_name].pop(0) for target in shot.targets if rows[target.class_name]]
             yield shot, [*order, *(row for rest in rows.values() for row in rest)]
@@ -98,7 +98,18 @@ class SingleShotPose:
         return notes
 
 
-def folder_name(name: str) -> str:
+def folders(classes: Sequence[str]) -> dict[str, str]:
+    """The folder of each class; where two would have the same, the later one has a number behind it."""
+    found: dict[str, str] = {}
+    for name in classes:
+        plain, number = _folder_name(name), 2
+        while plain in found.values():
+            plain, number = f"{_folder_name(name)}-{number}", number + 1
+        found[name] = plain
+    return found
+
+
+def _folder_name(name: str) -> str:
     """A class as the name of a folder; never one that leads out of its place, as ``..`` does."""
     plain = "".join(letter if letter.isalnum() or letter in "-_." else "_" for letter in name)
     return plain if plain.strip(".") else "_" * max(len(plain), 1)
@@ -133,14 +144,15 @@ def _bytes(path: str, data: bytes) -> OutFile:
     return OutFile(PurePosixPath(path), hash_of(data), data=data, size=len(data))
 
 
-def _data(root: str, name: str, box: Box, export: Export) -> str:
+def _data(folder: str, box: Box, export: Export) -> str:
+    root = f"LINEMOD/{folder}"
     valid = next((part for part in ("val", "test") if part in export.splits), "train")
     lines = {
         "train": f"{root}/train.txt",
         "valid": f"{root}/{valid}.txt",
-        "backup": f"backup/{folder_name(name)}",
-        "mesh": f"{root}/{folder_name(name)}.ply",
-        "name": folder_name(name),
+        "backup": f"backup/{folder}",
+        "mesh": f"{root}/{folder}.ply",
+        "name": folder,
         "diam": f"{diameter(box) / 1000:.6f}",
     }
     return "".join(f"{key} = {value}\n" for key, value in lines.items())

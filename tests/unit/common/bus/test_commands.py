@@ -19,14 +19,12 @@ from common.bus import CommandClient, CommandServer, Endpoints, Poller, add_clie
 from common.bus.commands import MAX_REQUEST_BYTES
 from common.errors import CodecError, ConfigError, NameTakenError, NoAnswerError, RefusedError
 from common.messages import unpack
+from tests.support.ports import free_port
 
 
 @pytest.fixture
 def tcp(endpoints: Endpoints) -> Endpoints:
-    with closing(socket.socket()) as probe:
-        probe.bind(("127.0.0.1", 0))
-        port = probe.getsockname()[1]
-    return replace(endpoints, command=f"tcp://127.0.0.1:{port}")
+    return replace(endpoints, command=f"tcp://127.0.0.1:{free_port()}")
 
 
 @contextmanager

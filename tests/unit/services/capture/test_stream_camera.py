@@ -14,13 +14,13 @@ from common.config import Rig
 from common.errors import CameraError, ConfigError
 from services.capture.cameras.base import Grabbed
 from services.capture.cameras.stream import StreamCamera
+from tests.support.ports import free_port
 from tests.support.streams import (
     HEIGHT,
     SHADES,
     WIDTH,
     MjpegServer,
     RtspServer,
-    free_port,
     mjpeg_server,
     number_in,
     rtsp_server,

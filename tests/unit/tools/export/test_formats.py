@@ -27,7 +27,7 @@ from tests.support.recorded import (
 )
 from tests.unit.tools.export.conftest import Export, tree
 from tools.export.formats.bop_rules import check_bop
-from tools.export.formats.singleshotpose import folder_name
+from tools.export.formats.singleshotpose import folders
 from tools.export.registry import known_formats
 
 FORMATS = ("yolo", "yolo-pose", "yolo-obb", "yolo-segment", "coco", "bop", "kitti", "singleshotpose", "dope")
@@ -215,7 +215,11 @@ def test_empty_frames_one_class_spaces_and_umlauts(tmp_path: Path, export: Expor
     ("name", "folder"), [("..", "__"), (".", "_"), ("../../x", ".._.._x"), ("für Äpfel", "für_Äpfel"), ("a.b", "a.b")]
 )
 def test_a_class_never_leads_out_of_its_folder(name: str, folder: str) -> None:
-    assert folder_name(name) == folder
+    assert folders([name]) == {name: folder}
+
+
+def test_no_two_classes_share_a_folder() -> None:
+    assert list(folders(["a_b", "a/b", "a b", "a_b-2"]).values()) == ["a_b", "a_b-2", "a_b-3", "a_b-2-2"]
 
 
 @pytest.mark.long
