@@ -91,10 +91,19 @@ def pytest_xdist_make_scheduler(config: pytest.Config, log: Any) -> Any:
 
 
 def pytest_collection_modifyitems(items: list[pytest.Item]) -> None:
-    """A long run may take a quarter of an hour on a busy machine, where it names no limit of its own."""
+    """A long run may take a quarter of an hour on a busy machine, where it names no limit of its own.
+
+    The longest come first: an hour's soak at the end would be an hour in which nothing else is left to do.
+    """
+    limits: dict[pytest.Item, float] = {}
     for item in items:
-        if item.get_closest_marker("long") and not item.get_closest_marker("timeout"):
-            item.add_marker(pytest.mark.timeout(LONG_S))
+        if item.get_closest_marker("long"):
+            if not item.get_closest_marker("timeout"):
+                item.add_marker(pytest.mark.timeout(LONG_S))
+            timeout = item.get_closest_marker("timeout")
+            assert timeout is not None
+            limits[item] = timeout.args[0]
+    items.sort(key=lambda item: limits.get(item, 0.0), reverse=True)
 
 
 @pytest.hookimpl(wrapper=True)
