@@ -18,7 +18,7 @@ from multiprocessing.process import BaseProcess
 from typing import Generic, TypeVar
 
 from common import clock, early_nice, log
-from common.service.worker import Failure, Told, serve
+from common.service.worker import Begun, Failure, Told, serve
 
 J = TypeVar("J")
 R = TypeVar("R")
@@ -40,6 +40,7 @@ class _Task(Generic[J]):
     job: J
     deaths: int = 0
     first: bool = False
+    begun: bool = False
 
 
 @dataclass
@@ -64,7 +65,16 @@ class _Worker(Generic[J]):
 
     def ended(self, key: str) -> None:
         """The task is done. Not always the first: an urgent one may have come when the next was begun already."""
-        self.tasks.remove(next(task for task in self.tasks if task.key == key))
+        self.tasks.remove(self.named(key))
+
+    def named(self, key: str) -> _Task[J]:
+        """The task of this key."""
+        return next(task for task in self.tasks if task.key == key)
+
+    def at_hand(self) -> _Task[J] | None:
+        """What it works on: the first, unless that is an urgent one of whose beginning nothing was heard."""
+        first = self.tasks[0] if self.tasks else None
+        return next((task for task in self.tasks if task.begun or not task.first), first)
 
 
 class Crew(Generic[J, R]):
@@ -76,8 +86,7 @@ class Crew(Generic[J, R]):
     ``work`` and ``prepare`` are module-level functions; ``prepare(*prepared_with)`` runs once in each worker. A job
     whose worker died under it is done again until it has cost ``deaths`` workers; one that takes longer than
     ``limit_s`` has its worker killed, which counts as a death. The worker's next job is not blamed. A dead worker's
-    place is filled when it is surely gone: two never work on one job. (A job that is begun just as an urgent one comes
-    can have that one blamed for its end.)
+    place is filled when it is surely gone: two never work on one job.
 
     Workers are niced by ``nice`` from their first moment, but for urgent jobs (``first``).
 
@@ -186,14 +195,18 @@ class Crew(Generic[J, R]):
                 self._bury(worker)
                 return
             worker.begun_ns = clock.monotonic_ns()
-            if worker.ready:
-                key, result = said
+            if not worker.ready:
+                worker.ready = True  # its first word
+                continue
+            key, result = said
+            if isinstance(result, Begun):
+                worker.named(key).begun = True
+            else:
                 worker.ended(key)
                 yield key, result
-            worker.ready = True  # its first word
 
     def _bury(self, worker: _Worker[J]) -> None:
-        """Take its jobs back: the first is to blame."""
+        """Take its jobs back; the one at hand is to blame."""
         self.replaced += 1
         worker.over = True
         worker.pipe.close()
@@ -201,15 +214,18 @@ class Crew(Generic[J, R]):
         log.get().warning(
             "worker.died", pid=worker.process.pid, hung=worker.hung, jobs=[task.key for task in worker.tasks]
         )
-        tasks = list(worker.tasks)
-        worker.tasks.clear()
-        if tasks:
-            tasks[0].deaths += 1
-            if tasks[0].deaths >= self._deaths:
+        blamed = worker.at_hand()
+        if blamed is not None:
+            blamed.deaths += 1
+            if blamed.deaths >= self._deaths:
                 fault = "hung" if worker.hung else "died"
                 what = f"took longer than {self._limit_ns / 1e9:g} s" if worker.hung else "its worker died"
-                self._given_up.append((tasks.pop(0).key, Failure(fault, f"{what}, {self._deaths} times")))
-        self._waiting = deque(sorted((*tasks, *self._waiting), key=lambda task: not task.first))
+                self._given_up.append((blamed.key, Failure(fault, f"{what}, {self._deaths} times")))
+                worker.tasks.remove(blamed)
+        for task in worker.tasks:
+            task.begun = False
+        self._waiting = deque(sorted((*worker.tasks, *self._waiting), key=lambda task: not task.first))
+        worker.tasks.clear()
 
     def _fill_places(self) -> None:
         """A worker that died before it was ready is replaced when there is work again, so that none dies in a loop."""

@@ -36,6 +36,11 @@ class Failure:
 
 
 @dataclass(frozen=True)
+class Begun:
+    """Sent in a result's place when an urgent job begins: only the worker knows whether the next one came before it."""
+
+
+@dataclass(frozen=True)
 class Told(Generic[J]):
     """A job as it comes by the pipe, with the log level of the moment. ``first``: urgent."""
 
@@ -54,7 +59,10 @@ def serve(
     prepare: Callable[..., None],
     prepared_with: tuple[object, ...],
 ) -> None:
-    """A worker's life: says None once it is ready, then ``(key, result)`` for each job; ends with the pipe."""
+    """A worker's life: says None once it is ready, then ``(key, result)`` for each job; ends with the pipe.
+
+    Of an urgent job it says ``(key, Begun())`` before.
+    """
     early_nice.begin()
     os.setpgid(0, 0)
     signal.signal(signal.SIGINT, signal.SIG_IGN)
@@ -98,6 +106,7 @@ class _Turns(Generic[J, R]):
         while True:
             told = self._urgent.get()
             with suppress(ConnectionError):  # the other thread reads the end of the pipe
+                self._pipe.send((told.key, Begun()))
                 self._do(told)
             self._urgent_done.put(None)
 

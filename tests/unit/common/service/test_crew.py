@@ -145,6 +145,23 @@ def test_an_urgent_job_whose_worker_was_killed_is_done_again_before_the_others(
     assert crew.replaced == 1
 
 
+def test_an_urgent_job_is_not_blamed_for_the_one_that_was_begun_before_it(place: Place, tmp_path: Path) -> None:
+    fifos = [tmp_path / name for name in ("first", "second")]
+    for fifo in fifos:
+        os.mkfifo(fifo)
+    with closing(Crew(crew_jobs.work, crew_jobs.prepare, (1000,), deaths=1)) as crew:
+        for fifo in fifos:
+            crew.submit(fifo.name, f"until {fifo}")
+        with held_open(fifos[0]):
+            pass
+        with held_open(fifos[1]):  # the first has ended, which the crew hasn't heard yet
+            crew.submit("urgent", 5, first=True)
+            os.kill(crew.pids[0], signal.SIGKILL)
+            got = results(crew, 3)
+    assert (got["first"], got["urgent"]) == (1000, 1005)
+    assert got["second"] == Failure("died", "its worker died, 1 times")
+
+
 def test_a_worker_that_hangs_is_killed(place: Place) -> None:
     with closing(Crew(crew_jobs.work, crew_jobs.prepare, (0,), deaths=2, limit_s=1.5)) as crew:
         crew.submit("stuck", "hang")
@@ -170,11 +187,12 @@ def test_an_idle_worker_that_is_killed_is_replaced(crew: Crew[str | int, int]) -
     assert results(crew, 1) == {"job": 1005}
 
 
-def test_workers_that_cannot_start_cost_the_job_and_do_not_start_for_ever(place: Place) -> None:
+@pytest.mark.parametrize("urgent", [False, True])
+def test_workers_that_cannot_start_cost_the_job_and_do_not_start_for_ever(urgent: bool, place: Place) -> None:
     with closing(Crew(crew_jobs.work, crew_jobs.refuse_to_start, (0,))) as crew:
         wait_for(lambda: list(crew.finished()) == [] and crew.replaced == 1, ENOUGH_S, "the first to die")
         assert crew.pids == ()
-        crew.submit("job", 1)
+        crew.submit("job", 1, first=urgent)
         got = results(crew, 1)
         assert isinstance(got["job"], Failure)
         assert crew.replaced <= 4
