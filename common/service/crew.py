@@ -134,9 +134,15 @@ class Crew(Generic[J, R]):
 
         Only the job that a worker has at hand comes before it, and the worker does it at full priority.
         """
-        at = next((place for place, other in enumerate(self._waiting) if not other.first), len(self._waiting))
-        self._waiting.insert(at if first else len(self._waiting), _Task(key, job, first=first))
-        self._hand_out()
+        self._queue(_Task(key, job, first=first))
+
+    def hurry(self, key: str) -> None:
+        """Make a job urgent that waits here; one that a worker has got already, or that isn't known, stays as it is."""
+        task = next((task for task in self._waiting if task.key == key), None)
+        if task is not None and not task.first:
+            self._waiting.remove(task)
+            task.first = True
+            self._queue(task)
 
     def finished(self) -> Iterator[tuple[str, R | Failure]]:
         """What ended since the last call, each job once."""
@@ -175,6 +181,11 @@ class Crew(Generic[J, R]):
         news = select.poll()  # the pipe's own `poll` makes a new one at each call, and this one is asked all the time
         news.register(ours.fileno(), select.POLLIN)
         return _Worker(process, ours, news, begun_ns=clock.monotonic_ns())
+
+    def _queue(self, task: _Task[J]) -> None:
+        at = next((place for place, other in enumerate(self._waiting) if not other.first), len(self._waiting))
+        self._waiting.insert(at if task.first else len(self._waiting), task)
+        self._hand_out()
 
     def _hand_out(self) -> None:
         while self._waiting:

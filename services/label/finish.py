@@ -71,6 +71,11 @@ class Finisher:
         self._jobs[job.key] = job
         self._crew.submit(job.key, job, first=first)
 
+    def hurry(self, key: str) -> None:
+        """Put a job that waits before the others, as if it had been ``first``."""
+        for crew in (self._crew, *self._retired):
+            crew.hurry(key)
+
     def finished(self) -> Iterator[tuple[Job, Finished | None]]:
         """Jobs that ended since the last call; None where the job failed (the reason is in the log)."""
         for crew in (self._crew, *self._retired):

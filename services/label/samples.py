@@ -106,7 +106,7 @@ class Samples:
         name = ids.sample_name(ref.captured_wall_ns, ref.camera, ref.frame)
         known = self.under_way.get(name)
         if known is not None:
-            return self._join(known, takers)
+            return self._join(known, takers, finisher)
         urgent = any(isinstance(taker, Request) for taker in takers)
         if not urgent:
             self._require_share(camera)
@@ -139,12 +139,14 @@ class Samples:
             raise RefusedError(explain(code), code=code)
 
     @staticmethod
-    def _join(sample: Sample, takers: list[Taker]) -> Sample:
-        """Who asks for a frame that is on its way already shares the sample."""
+    def _join(sample: Sample, takers: list[Taker], finisher: Finisher) -> Sample:
+        """Who asks for a frame that is on its way already shares the sample; a single request hurries it."""
         if sample.takers[0].background is not takers[0].background:
             raise RefusedError(explain("not_due"), code="not_due")
         sample.takers += takers
-        sample.urgent = sample.urgent or any(isinstance(taker, Request) for taker in takers)
+        if not sample.urgent and any(isinstance(taker, Request) for taker in takers):
+            sample.urgent = True
+            finisher.hurry(sample.name)
         return sample
 
     @property

@@ -94,6 +94,18 @@ def test_what_is_urgent_is_next_after_the_job_at_hand(place: Place, tmp_path: Pa
     assert [key for key in order if key.startswith("job")] == ["job-0", "job-1", "job-2", "job-3"]
 
 
+def test_a_job_that_waits_can_be_made_urgent(place: Place, tmp_path: Path) -> None:
+    os.mkfifo(tmp_path / "pipe")
+    with closing(Crew(crew_jobs.work, crew_jobs.prepare, (1000,), workers=1)) as crew:
+        crew.submit("at-hand", f"until {tmp_path / 'pipe'}")
+        with held_open(tmp_path / "pipe"):
+            for number in range(4):
+                crew.submit(f"job-{number}", number)
+            for key in ("job-3", "at-hand", "nobody"):
+                crew.hurry(key)
+        assert list(results(crew, 5)) == ["at-hand", "job-3", "job-0", "job-1", "job-2"]
+
+
 def test_workers_are_niced_but_for_what_is_urgent(place: Place) -> None:
     own = os.getpriority(os.PRIO_PROCESS, 0)
     with closing(Crew(crew_jobs.work, crew_jobs.prepare, (0,), nice=5)) as crew:
