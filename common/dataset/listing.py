@@ -40,7 +40,7 @@ class SampleIndex:
 
     def add(self, item: SampleItem) -> None:
         """A sample that has just been stored, by whoever knows its label. From any thread."""
-        self._added.append((item.name, pack(item)))
+        self._added.append((item.name, _packed(item)))
 
     def build(self, stop: Callable[[], bool] = lambda: False) -> None:
         """Read all labels; ``stop`` is asked in between and ends it early. Raises OSError."""
@@ -60,7 +60,7 @@ class SampleIndex:
                 text = (folder / label_path(sample)).read_bytes()
             except FileNotFoundError:
                 continue
-            items[sample] = pack(item_of(sample, text, "" if folder == self._session else f"{BIN}/"))
+            items[sample] = _packed(item_of(sample, text, "" if folder == self._session else f"{BIN}/"))
             return
 
     def page(self, wanted: SampleFilter, offset: int, limit: int) -> SampleList:
@@ -74,7 +74,7 @@ class SampleIndex:
         size = 0
         for name in matching[offset : offset + limit]:
             item = unpack(name, items[name])
-            size += _size_of(item)
+            size += _size_of(item, items[name])
             if page and size > _MOST_BYTES:
                 break
             page.append(item)
@@ -189,6 +189,15 @@ def _object_of(plain: dict[str, Any]) -> SampleObject:
     )
 
 
+def _packed(item: SampleItem) -> bytes:
+    """Packed; one that no answer can hold by its name alone: JSON may have 10**30, half a surrogate, megabytes."""
+    try:
+        packed = pack(item)
+    except _FAULTS:
+        return pack(_unreadable(item.name))
+    return packed if _size_of(item, packed) <= _MOST_BYTES else pack(_unreadable(item.name))
+
+
 def _files_of(plain: dict[str, Any], prefix: str) -> Iterator[tuple[str, str]]:
     for kind in PICTURES:
         if plain.get(kind) is not None:
@@ -209,7 +218,6 @@ def _unreadable(sample: str) -> SampleItem:
     )
 
 
-def _size_of(item: SampleItem) -> int:
-    """Roughly its bytes in MessagePack."""
-    names = sum(len(name) for found in item.objects for name in (found.name, found.type, *found.sides))
-    return 200 + sum(len(path) + 10 for path in item.files.values()) + 230 * len(item.objects) + names
+def _size_of(item: SampleItem, packed: bytes) -> int:
+    """At most its bytes in MessagePack, where its fields have their names, and its files' paths its own."""
+    return len(packed) + 300 + len(item.files) * len(item.name) + 200 * len(item.objects)

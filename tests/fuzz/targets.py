@@ -23,14 +23,14 @@ from common.config import load_rig, read_calibration
 from common.config.extrinsics import read_extrinsics
 from common.dataset.emptied import removed
 from common.dataset.layout import sample_of_label, sample_of_picture
-from common.dataset.listing import item_of
+from common.dataset.listing import SampleIndex, item_of
 from common.dataset.reader import SessionReader
 from common.dataset.session import parse_versioned, read_session
 from common.errors import CodecError, ConfigError, DatasetError, RefusedError, TagmillError
 from common.ids import is_sample_name, sample_captured_at, sample_frame
 from common.labels import Label, StoredFile
 from common.markers import family
-from common.messages import LabelOrder, StoreOrder, decode
+from common.messages import Answer, LabelOrder, SampleFilter, StoreOrder, decode, encode
 from common.pictures import decode as decode_picture
 from common.topics import TOPICS
 from services.capture.cameras.azure_calibration import read_calibration as read_azure
@@ -191,7 +191,9 @@ JSON_WORDS = (
 
 
 def _label(folder: Path, data: bytes) -> None:
-    item_of(SAMPLE, data)
+    index = SampleIndex(folder)
+    index.add(item_of(SAMPLE, data))
+    decode(Answer, encode(Answer(key="k", listed=index.page(SampleFilter(), 0, 1))))
     path = folder / "label.json"
     parse_versioned(Label, data.decode("utf-8", "replace"), path)
 

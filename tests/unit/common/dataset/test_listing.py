@@ -150,6 +150,29 @@ def test_a_label_that_can_not_be_read_is_listed_by_its_name(text: bytes) -> None
     assert (item.files, item.complete, item.objects) == ({}, False, ())
 
 
+@pytest.mark.parametrize(
+    "change",
+    [
+        {"frame": 10**30},
+        {"captured_at": "\ud800"},
+        {"captured_at": "x" * 2_000_000},
+        {"recording": "\udfff"},
+        {"files": {"rgb": {"path": "\ud800"}}},
+    ],
+)
+def test_a_label_that_no_answer_can_hold_is_listed_by_its_name(tmp_path: Path, change: dict[str, Any]) -> None:
+    sample = labels()[0].sample
+    path = tmp_path / label_path(sample)
+    path.parent.mkdir()
+    path.write_text(json.dumps(json.loads(stored(labels()[0])) | change))
+    index = SampleIndex(tmp_path)
+    index.build()
+    page = index.page(SampleFilter(), 0, 9)
+    assert decode(Answer, encode(Answer(key="k", listed=page))).listed == page
+    (item,) = page.samples
+    assert (item.name, item.files, item.complete) == (sample, {}, False)
+
+
 def test_a_page_fits_into_an_answer_however_much_is_in_the_samples(tmp_path: Path) -> None:
     index = SampleIndex(tmp_path)
     many = tuple(object_label(number).model_copy(update={"name": "x" * 60}) for number in range(16))
