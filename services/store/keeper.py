@@ -28,7 +28,6 @@ _BUSY_LIMIT_NS = 10 * _SECOND
 """How long a killed store's last worker is waited for before orders are refused."""
 
 _STALLED_S = 5
-
 _WORKED_IN = tuple(folder for folder in FOLDERS if folder != "original")
 
 Done = Callable[[ErrorInfo | None], None]
@@ -158,7 +157,7 @@ class SessionKeeper:
             self.close()
             self.phase, self.session = Phase.OPEN, session
             self.samples, self.binned = session.inventory.samples, session.inventory.binned
-            self._durable = session.book.revision
+            self._durable, self._write_failed = session.book.revision, False
             self._tell(session)
         self._answer_opener(None)
 
@@ -230,6 +229,8 @@ class SessionKeeper:
 
     def _written(self, session: OpenSession, revision: int, done: Future[None]) -> None:
         self._writing = False
+        if session is not self.session:  # another was opened meanwhile, whose revisions are counted anew
+            return
         now = clock.monotonic_ns()
         try:
             done.result()
