@@ -27,7 +27,8 @@ class Topic:
     """A row of the table.
 
     ``name`` is the first part of the topic on the wire; the parts named in ``keys`` follow, each after a
-    ``/`` (``frame/cam0``). ``rate_hz`` is the nominal rate a key, None = the camera's frame rate.
+    ``/`` (``frame/cam0``). ``rate_hz`` is the nominal rate a key, None = the camera's frame rate, and
+    without a key when it happens.
     ``delivery``: ``latest`` = a reader that lags gets only the newest of each key, ``every`` = all, in order.
     """
 

@@ -54,7 +54,7 @@ def _topics_head() -> Iterator[str]:
         "|---|---|---|---|---|",
     )
     for topic in TOPICS:
-        rate = "each frame" if topic.rate_hz is None else f"{topic.rate_hz:g} Hz"
+        rate = f"{topic.rate_hz:g} Hz" if topic.rate_hz else "each frame" if topic.keys else "when it happens"
         yield f"| [`{_wire(topic)}`](#{topic.name}) | {topic.publisher} | {rate} | {topic.delivery} | {topic.purpose} |"
 
 

@@ -19,7 +19,7 @@ if TYPE_CHECKING:
 FRESH_NS = 3_000_000_000
 STALE_LABEL_NS = 1_000_000_000
 REFUSED_FOR_NS = 60_000_000_000
-_SAMPLE_BYTES = 1_500_000
+_SAMPLE_BYTES = 2_300_000
 """Until samples were seen: a 720p colour picture with depth."""
 
 

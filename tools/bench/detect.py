@@ -46,14 +46,21 @@ class Score:
     """For each picture its times, scaled to 1280x720 pixels."""
 
 
+NO_PHOTOGRAPHS = "photographs (--data names their folder)"
+
 Scores = dict[str, dict[str, Score]]
 """Detector to row to score."""
 
 
 def add_parser(parser: argparse.ArgumentParser) -> None:
     """The benchmark's own arguments."""
-    default = Path(os.environ.get("TAGMILL_TESTDATA", "../shared/data"))
-    parser.add_argument("--data", type=Path, default=default, help=f"folder with truth.json (default {default})")
+    parser.add_argument(
+        "--data",
+        type=Path,
+        default=os.environ.get("TAGMILL_TESTDATA") or None,
+        metavar="DIR",
+        help="photographs with their truth.json (default: TAGMILL_TESTDATA; without either, rendered pictures alone)",
+    )
     parser.add_argument("--seed", type=int, default=1, help="of the rendered scenes (1)")
     parser.add_argument("--scenes", type=int, default=6, help="rendered scenes a difficulty, of 8 markers each (6)")
     parser.add_argument("--rounds", type=int, default=3, help="how often each sees the reference scenes and photos (3)")
@@ -63,7 +70,7 @@ def run(args: argparse.Namespace) -> int:
     """Measure and print."""
     cv2.setNumThreads(1)
     searches, absent = contenders()
-    photos, missing = photographs(args.data)
+    photos, missing = photographs(args.data) if args.data is not None else ([], [NO_PHOTOGRAPHS])
     cases = chain(rendered(args.seed, args.scenes), photos, marker_free(args.data, args.seed, 5 * args.scenes))
     scores = measure(cases, searches, max(args.rounds, 1))
     tracked = track(args.data, args.seed)

@@ -77,15 +77,18 @@ def photographs(data: Path) -> tuple[list[Case], list[str]]:
     return cases, missing
 
 
-def marker_free(data: Path, seed: int, scenes: int) -> Iterator[Case]:
-    """Rendered backgrounds and look-alikes, and crops of pictures that hold no marker of the searched family."""
+def marker_free(data: Path | None, seed: int, scenes: int) -> Iterator[Case]:
+    """Rendered backgrounds and look-alikes, and crops of pictures that hold no marker of the searched family.
+
+    ``data``: where photographs are; None: there are none.
+    """
     searched = family(SEARCHED, Path())
     others = [family(name, Path()) for name in LOOK_ALIKES]
     for scene in marker_scenes.look_alikes(others, seed, scenes):
         yield _case(EMPTY, scene, searched)
     for scene in marker_scenes.empty(seed, scenes):
         yield _case(EMPTY, scene, searched)
-    for picture in _without_markers(data):
+    for picture in _without_markers(data) if data is not None else ():
         for crop in _crops(picture):
             yield Case(EMPTY, crop, searched, ())
 

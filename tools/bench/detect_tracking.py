@@ -42,11 +42,11 @@ class Tracked:
         return sum(self.track_ms) / max(sum(self.search_ms), 1e-9)
 
 
-def track(data: Path, seed: int) -> list[Tracked]:
+def track(data: Path | None, seed: int) -> list[Tracked]:
     """The rendered sequence, and the video where it is there."""
     searched = family(SEARCHED, Path())
     results = [_follow("rendered", (scene.grey for scene in sequence(searched, seed, FRAMES)))]
-    if (data / VIDEO).is_file():
+    if data is not None and (data / VIDEO).is_file():
         results.append(_follow(VIDEO, _frames(data / VIDEO)))
     return results
 

@@ -1,7 +1,7 @@
 """`tagmill bench soak`: does anything grow, in memory, file descriptors, segments, over a long recording?
 
-Two synthetic cameras, a recording of both, single records and `status` all the while. Every process is looked at two
-hundred times; what counts is how its figures at the end compare with those after the warm-up.
+Two synthetic cameras, a recording of both, single records and `status` all the while. Every process is looked at again
+and again; what counts is how its figures at the end compare with those after the warm-up.
 """
 
 from __future__ import annotations
@@ -83,7 +83,7 @@ class Soaked:
 
 def add_parser(parser: argparse.ArgumentParser) -> None:
     """The soak's own arguments."""
-    parser.add_argument("--minutes", type=float, default=60.0, help="how long, after a warm-up of a quarter of it (60)")
+    parser.add_argument("--minutes", type=float, default=60.0, help="in all, a quarter of it to warm up (60)")
     parser.add_argument("--every-s", type=float, default=1.0, help="a sample of each camera so often (1)")
     parser.add_argument("--size", default="640x360", help="WxH")
 

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import argparse
+import json
 
 from rich.console import Console
 from rich.table import Table
@@ -37,6 +38,12 @@ def run(args: argparse.Namespace) -> int:
 def _fields(fields: dict[str, dict[str, object]]) -> Table:
     table = Table(box=None, padding=(0, 2), show_header=False)
     for name, field in fields.items():
-        default = "needed" if field["required"] else f"default {field['default']}"
-        table.add_row(f"  {name}", str(field["type"]), default, str(field["words"]))
+        table.add_row(f"  {name}", str(field["type"]), _default(field), str(field["words"]))
     return table
+
+
+def _default(field: dict[str, object]) -> str:
+    """Whether a field must be there, and what it is without."""
+    if field["required"]:
+        return "needed"
+    return "may be left out" if field["default"] in (None, {}) else f"default {json.dumps(field['default'])}"

@@ -28,5 +28,6 @@ def run(args: argparse.Namespace) -> int:
         print(path)
     if not args.client:
         print(f"Name the folder in the rig file, network: {{keys: {args.folder}}}, and restart the stack.")
-        print("A client on another machine needs server.key and a pair of its own: tagmill keys --client NAME.")
+        print("A client on another machine needs server.key and a pair of its own:")
+        print(f"  tagmill keys {args.folder} --client NAME")
     return EXIT_OK

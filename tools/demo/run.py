@@ -35,7 +35,7 @@ Truths = dict[tuple[str, int], tuple[TrueObject, ...]]
 
 def main(argv: list[str] | None = None) -> int:
     """Run the demo; 0 if everything that it shows is true."""
-    parser = argparse.ArgumentParser(prog="make demo", description=__doc__)
+    parser = argparse.ArgumentParser(prog="python -m tools.demo", description=__doc__)
     parser.add_argument("--out", type=Path, default=Path("demo-out"), help="folder for the dataset and the sheet")
     out: Path = parser.parse_args(argv).out.resolve()
     console = Console(highlight=False)

@@ -67,7 +67,8 @@ def _rig(path: Path | None) -> tuple[Rig | None, list[Finding]]:
         found = error.problems[0] + (f" (and {count - 1} more)" if count > 1 else "")
         return None, [bad("rig", found, f"tagmill check {path} says all that is wrong")]
     cameras = ", ".join(rig.config.cameras) or "no camera"
-    return rig, [good("rig", f"{path}: {len(rig.boxes)} objects, {cameras}")]
+    objects = "1 object" if len(rig.boxes) == 1 else f"{len(rig.boxes)} objects"
+    return rig, [good("rig", f"{path}: {objects}, {cameras}")]
 
 
 def _told(check: Check, rig: Rig | None) -> Iterator[Finding]:

@@ -14,7 +14,7 @@ from common.config import Rig, RigConfig
 from common.errors import ConfigError
 from tools.doctor.finding import Finding, bad, good, warning
 
-_SAMPLE_MB = 1.5
+_SAMPLE_MB = 2.3
 """A 1280x720 sample with depth as PNG, about."""
 _LEAST_FREE = 2e9
 _PIECE = b"\xa5" * (1 << 20)

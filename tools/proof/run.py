@@ -50,7 +50,7 @@ def main(argv: list[str] | None = None) -> int:
 
 def _arguments(argv: list[str] | None) -> argparse.Namespace:
     recipe = Recipe()
-    parser = argparse.ArgumentParser(prog="make proof", description=__doc__)
+    parser = argparse.ArgumentParser(prog="python -m tools.proof", description=__doc__)
     parser.add_argument("--out", type=Path, default=Path("proof-out"), help="folder for pictures, sets and figures")
     parser.add_argument("--trainer", type=Path, default=Path(".venv-proof/bin/python"), help="Python with libreyolo")
     parser.add_argument("--rooms", type=int, default=18, help="rooms to record in")

@@ -102,7 +102,7 @@ def _show_recipe(console: Console, folder: Path, recipe: Recipe) -> None:
 
 def _show(console: Console, done: Done, moved: Difference | None) -> None:
     if done.unchanged:
-        words = "is this already; nothing was changed"
+        words = "is there already, made of the same by the same; nothing was changed"
     else:
         words = f"{done.made} samples" + (f", {done.before} of them by an earlier run" if done.before else "")
     console.print(f"{done.target}: {words}", markup=False, soft_wrap=True)

@@ -349,7 +349,9 @@ def test_ctrl_c_while_a_sub_command_is_imported_shows_no_traceback(elsewhere: Pa
 
 def test_keys_are_made_once_and_clients_added(elsewhere: Path, capsys: pytest.CaptureFixture[str]) -> None:
     assert main(["keys", "mine"]) == EXIT_OK
-    assert "network: {keys: mine}" in capsys.readouterr().out
+    told = capsys.readouterr().out
+    assert "network: {keys: mine}" in told
+    assert "tagmill keys mine --client NAME" in told
     assert (elsewhere / "mine" / "server.key_secret").stat().st_mode & 0o077 == 0
     assert main(["keys", "mine"]) == EXIT_REFUSED
     assert main(["keys", "mine", "--client", "tablet", "--json"]) == EXIT_OK

@@ -1,7 +1,9 @@
 """`tagmill bench chaos`: recordings from two cameras while everything goes wrong, then an independent judge.
 
-The plan of faults follows from the seed. See plan.py (what), storm.py (when), faults.py (how), checker.py (the judge).
+The plan of faults follows from the seed; --plan prints it.
 """
+
+# Beside this: plan.py (what), storm.py (when), faults.py (how), checker.py (the judge).
 
 from __future__ import annotations
 

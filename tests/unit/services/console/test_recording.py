@@ -59,7 +59,7 @@ def test_ready_says_whether_the_present_frame_would_be_taken(state: State) -> No
     found = told(state)
     assert (found["phase"], found["session"]) == ("ready", "s")
     assert found["can"] == {"cam0": {"ok": True, "title": "box-0 in view"}}
-    assert (found["disk"]["samples_left"], found["disk"]["free_bytes"]) == (20, 30_000_000)
+    assert (found["disk"]["samples_left"], found["disk"]["free_bytes"]) == (13, 30_000_000)
     state.hear_labels(labels())
     assert told(state)["can"]["cam0"]["code"] == "no_object"
     assert told(state, 2 * FRESH_NS)["can"]["cam0"]["ok"] is False, "an old label says nothing of now"

@@ -70,8 +70,8 @@ def test_a_short_run_is_measured_and_written_as_json(
     monkeypatch.setattr(detect, "photographs", lambda _: ([], ["gone.jpg"]))
     monkeypatch.setattr(detect, "marker_free", lambda *_: iter([empty]))
     monkeypatch.setattr(detect, "track", lambda *_: [])
-    for as_json in (True, False):
-        args = argparse.Namespace(data=tmp_path, seed=1, scenes=1, rounds=2, json=as_json)
+    for as_json, data in ((True, tmp_path), (False, None)):
+        args = argparse.Namespace(data=data, seed=1, scenes=1, rounds=2, json=as_json)
         assert detect.run(args) == 0
         text = capsys.readouterr().out
         if as_json:
@@ -84,6 +84,7 @@ def test_a_short_run_is_measured_and_written_as_json(
         else:
             assert "3/3" in text
             assert "0 in 1" in text
+            assert f"not there: {detect.NO_PHOTOGRAPHS}" in text
 
 
 def test_the_trade_off_has_a_point_for_each_detector_that_sees_all_difficulties() -> None:
