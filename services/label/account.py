@@ -9,7 +9,7 @@ from common.ledgers import CameraLedger
 from common.messages import CameraState, FrameRef
 from services.label.gaps import Gaps
 
-Place = Literal["detect", "label", "label_restart", "store"]
+Place = Literal["detect", "label", "label_restart"]
 
 
 class Account:
