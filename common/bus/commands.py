@@ -16,7 +16,7 @@ from common.bus.gatekeeper import Gatekeeper
 from common.bus.keys import client_pair, server_pair, server_public
 from common.bus.locks import NameLock
 from common.bus.order_server import Return
-from common.bus.sockets import Binding, Socket, drain, new_socket, reply
+from common.bus.sockets import LAST_ANSWERS_MS, Binding, Socket, drain, new_socket, reply
 from common.errors import CodecError, ConfigError, NameTakenError, NoAnswerError
 from common.messages import unpack
 
@@ -100,12 +100,12 @@ class CommandServer:
             self.unreachable += 1
 
     def close(self) -> None:
-        """Close at once, remove what was made; idempotent."""
+        """Remove what was made, and close: answers that were given still go out for a second. Idempotent."""
         if self._binding is not None:
             self._binding.release()
         if self._gatekeeper is not None:
             self._gatekeeper.close()
-        self._socket.close(linger=0)
+        self._socket.close(linger=LAST_ANSWERS_MS)
         if self._lock is not None:
             self._lock.release()
 

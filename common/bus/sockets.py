@@ -22,7 +22,7 @@ ROOM_FOR_FRAMING = 4096
 """Socket-level limits are this much above the codec's, so that only what is far too large costs the connection."""
 
 _BACKLOG = 128
-_LAST_ANSWERS_MS = 1000
+LAST_ANSWERS_MS = 1000
 """What was answered just before the end leaves first: ZeroMQ's own thread may wait for a core longer than that."""
 READABLE = int(zmq.POLLIN)
 _NOBLOCK = int(zmq.NOBLOCK)
@@ -117,7 +117,7 @@ class Binding:
         if self._lock is None:
             return
         self._path.unlink(missing_ok=True)
-        self._socket.close(linger=_LAST_ANSWERS_MS)
+        self._socket.close(linger=LAST_ANSWERS_MS)
         self._lock.release()
         self._lock = None
 

@@ -90,6 +90,27 @@ def test_a_request_in_parts_is_an_error(tcp: Endpoints) -> None:
         assert server.bad == 1
 
 
+@pytest.mark.parametrize("where", ["ipc", "tcp"])
+def test_answers_given_before_the_end_still_arrive(endpoints: Endpoints, tcp: Endpoints, where: str) -> None:
+    chosen = tcp if where == "tcp" else endpoints
+    server = CommandServer(chosen, None)
+    asking = zmq.Context.instance().socket(zmq.DEALER)
+    asking.setsockopt(zmq.RCVHWM, 1)  # so that most answers are still at the server when it closes
+    asking.rcvtimeo, asking.linger = 5000, 0
+    with closing(asking):
+        asking.connect(chosen.command)
+        asking.send(b"all")
+        poller = Poller(server)
+        requests = []
+        while not requests:
+            assert poller.wait(5.0)
+            requests = server.receive()
+        for number in range(6):
+            server.answer(requests[0][0], {"number": number, "much": bytes(2_000_000)})
+        server.close()
+        assert [unpack(asking.recv(), 4 << 20)["number"] for _ in range(6)] == list(range(6))
+
+
 @pytest.mark.parametrize("garbage", [b"", b"\xc1", b"GET / HTTP/1.1\r\n\r\n", msgpack.packb({"a": 1}) + b"x"])
 def test_garbage_gets_an_answer(tcp: Endpoints, garbage: bytes) -> None:
     with serving(tcp), closing(plain_socket(zmq.REQ, tcp.command)) as client:
