@@ -106,7 +106,7 @@ def _show_end(
         console.print("nothing was checked (--no-check)", style="yellow")
         return
     for line in checks.done:
-        console.print(f"  right: {line}", style="green", markup=False, soft_wrap=True)
+        console.print(f"  checked: {line}", style="green", markup=False, soft_wrap=True)
     for line in checks.absent:
         console.print(f"  not checked: {line}", style="yellow", markup=False, soft_wrap=True)
     for line in checks.failed:
