@@ -8,6 +8,7 @@ from pathlib import Path
 from common.bus import Endpoints
 from common.bus.keys import authorized_keys, server_pair
 from common.config import Rig, RigConfig
+from common.config.models import NetworkConfig
 from common.errors import ConfigError, NameTakenError
 from services.capture.attached import Found, ask_drivers
 from tools.doctor.finding import Finding, bad, good, warning
@@ -55,7 +56,7 @@ def ports(rig: Rig | None) -> Iterator[Finding]:
     else:
         try:
             refuse_taken(network, endpoints, console=no_console(network) is None)
-            yield good("addresses", f"{endpoints.command} and {network.console or 'no console'} are free")
+            yield good("addresses", _free(network, endpoints))
         except NameTakenError as error:
             yield bad("addresses", *_parted(error.message))
     reason = no_console(network)
@@ -65,10 +66,19 @@ def ports(rig: Rig | None) -> Iterator[Finding]:
         yield _keys(rig.resolve(network.keys))
 
 
+def _free(network: NetworkConfig, endpoints: Endpoints) -> str:
+    if network.console is None:
+        return f"{endpoints.command} is free; no console is wanted"
+    if endpoints.console_moves(network):
+        return f"{endpoints.command} is free; the console takes any free port"
+    return f"{endpoints.command} and {network.console} are free"
+
+
 def _keys(folder: Path) -> Finding:
     about, cure = "keys", "as it says; docs/how-to/secure-the-sockets.md has the whole story"
     try:
         server_pair(folder)
-        return good(about, f"{len(authorized_keys(folder))} clients may use the command socket")
+        count = len(authorized_keys(folder))
+        return good(about, f"{count} client{'s' * (count != 1)} may use the command socket")
     except ConfigError as error:
         return bad(about, error.message, cure)

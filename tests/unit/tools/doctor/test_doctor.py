@@ -129,10 +129,19 @@ def test_an_address_that_another_program_holds(tmp_path: Path) -> None:
     assert "network.console" in found.cure
 
 
+def test_a_stack_of_another_prefix_needs_no_port_for_its_console(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setenv("TAGMILL_PREFIX", "another")
+    assert told(doors.ports, write_rig(tmp_path))["addresses"].found.endswith("the console takes any free port")
+    without = write_rig(tmp_path, RIG + "network: {console: null}\n")
+    assert told(doors.ports, without)["addresses"].found.endswith("no console is wanted")
+
+
 def test_keys_that_others_can_read(tmp_path: Path) -> None:
     create_keys(tmp_path / "keys")
     rig = write_rig(tmp_path, RIG + "network: {command: 'tcp://192.0.2.1:5750', keys: keys, console: null}\n")
-    assert told(doors.ports, rig)["keys"].found == "1 clients may use the command socket"
+    assert told(doors.ports, rig)["keys"].found == "1 client may use the command socket"
     (tmp_path / "keys" / "server.key_secret").chmod(0o644)
     found = told(doors.ports, rig)["keys"]
     assert (found.level, "chmod 600" in found.found) == ("bad", True)
