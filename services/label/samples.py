@@ -1,8 +1,7 @@
 """Samples on their way: sample ring → worker (exact labels, erasing) → store → durable.
 
-A sample holds its slot from the moment its pixels are copied until the store has answered, so the number of
-slots is the number of samples that may wait. Nothing leaves this table without an outcome. A single request goes
-before all recordings: it has slots of its own, and its sample overtakes theirs.
+A sample holds its slot from the copying of its pixels to the store's answer: as many slots, as many may wait. Nothing
+leaves this table without an outcome. A single request goes first: it has slots of its own and overtakes recordings.
 """
 
 from __future__ import annotations
