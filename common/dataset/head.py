@@ -11,7 +11,8 @@ from common.errors import DatasetError
 from common.labels import Label
 
 _HEAD_BYTES = 1024
-_RECORDING = re.compile(rb'^ *"recording": *(?:null|"([^"\\]*)"),?$', re.MULTILINE)
+_RECORDING = re.compile(rb'^ *"recording": *(?:null|"([^"\\\x80-\xff]*)"),?$', re.MULTILINE)
+"""A name has ASCII letters only; whatever else stands there is read, or refused, with the whole label."""
 
 
 def read_recording(path: Path) -> str | None:
@@ -20,7 +21,7 @@ def read_recording(path: Path) -> str | None:
         match = _RECORDING.search(file.read(_HEAD_BYTES))
     if match is None:
         return parse_versioned(Label, read_text(path), path).recording
-    return match.group(1).decode() if match.group(1) else None
+    return match.group(1).decode("ascii") if match.group(1) else None
 
 
 def recording_of(folder: Path, sample: str) -> str | None:

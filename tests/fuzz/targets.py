@@ -22,6 +22,7 @@ from common.bounded import parse_json
 from common.config import load_rig, read_calibration
 from common.config.extrinsics import read_extrinsics
 from common.dataset.emptied import removed
+from common.dataset.head import read_recording
 from common.dataset.layout import sample_of_label, sample_of_picture
 from common.dataset.listing import SampleIndex, item_of
 from common.dataset.reader import SessionReader
@@ -195,6 +196,9 @@ def _label(folder: Path, data: bytes) -> None:
     index.add(item_of(SAMPLE, data))
     decode(Answer, encode(Answer(key="k", listed=index.page(SampleFilter(), 0, 1))))
     path = folder / "label.json"
+    path.write_bytes(data)
+    with contextlib.suppress(DatasetError):
+        read_recording(path)
     parse_versioned(Label, data.decode("utf-8", "replace"), path)
 
 

@@ -142,6 +142,14 @@ def test_damage_is_told_and_left_alone(session: Path) -> None:
     assert files_of(session) == before
 
 
+def test_one_spoilt_byte_in_a_recordings_name_is_damage_as_any_other(session: Path) -> None:
+    spoilt = store(session, 2, "rec-b")
+    path = session / label_path(spoilt)
+    path.write_bytes(path.read_bytes().replace(b"rec-b", b"rec-\xe2"))
+    found = recover(session)
+    assert (found.damaged, found.recorded) == ([spoilt], {"rec-a": {"cam0": 1}})
+
+
 def test_an_empty_session_needs_nothing(tmp_path: Path) -> None:
     found = recover(tmp_path)
     assert (found.samples, found.removed, found.recorded) == (set(), [], {})
