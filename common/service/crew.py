@@ -7,6 +7,7 @@ ever for one that hangs, and leaves semaphores behind when the service is killed
 from __future__ import annotations
 
 import os
+import pickle
 import select
 from collections import deque
 from collections.abc import Callable, Iterator
@@ -29,32 +30,43 @@ _SPAWN = get_context("spawn")  # a fork would take the service's sockets, thread
 _AHEAD = 2
 """Jobs a worker holds: the one it works on and the next, so that it doesn't wait for the service's loop. An urgent one
 is given to it beyond them, and is done before the next."""
+_FITS = 128 << 10
+"""So many bytes of jobs surely fit into a pipe, which has room for 200,000. A worker reads no more while it does a job:
+the service would wait for it, and for ever if its result is as large."""
 _END_S = 2.0
 _START_NS = 60_000_000_000
 """An interpreter that starts on a busy machine doesn't hang yet."""
 
 
 @dataclass
-class _Task(Generic[J]):
+class _Task:
+    """``job``: pickled."""
+
     key: str
-    job: J
+    job: bytes
     deaths: int = 0
     first: bool = False
     begun: bool = False
 
 
 @dataclass
-class _Worker(Generic[J]):
+class _Worker:
     process: BaseProcess
     pipe: Connection
     news: select.poll
-    tasks: deque[_Task[J]] = field(default_factory=deque)
+    tasks: deque[_Task] = field(default_factory=deque)
     begun_ns: int = 0
     ready: bool = False
     hung: bool = False
     over: bool = False
 
-    def give(self, task: _Task[J]) -> None:
+    def takes(self, task: _Task) -> bool:
+        """Whether it has room for one more task: of several, all must fit into the pipe, for not one is surely read."""
+        if self.over or len(self.tasks) >= _AHEAD + task.first:
+            return False
+        return not self.tasks or sum(len(one.job) for one in (*self.tasks, task)) <= _FITS
+
+    def give(self, task: _Task) -> None:
         """Hand a task over; an urgent one is next after the one at hand."""
         if not self.tasks:
             self.begun_ns = clock.monotonic_ns()
@@ -67,11 +79,11 @@ class _Worker(Generic[J]):
         """The task is done. Not always the first: an urgent one may have come when the next was begun already."""
         self.tasks.remove(self.named(key))
 
-    def named(self, key: str) -> _Task[J]:
+    def named(self, key: str) -> _Task:
         """The task of this key."""
         return next(task for task in self.tasks if task.key == key)
 
-    def at_hand(self) -> _Task[J] | None:
+    def at_hand(self) -> _Task | None:
         """What it works on: the first, unless that is an urgent one of whose beginning nothing was heard."""
         first = self.tasks[0] if self.tasks else None
         return next((task for task in self.tasks if task.begun or not task.first), first)
@@ -109,10 +121,10 @@ class Crew(Generic[J, R]):
         self._start_with = (work, prepare, prepared_with)
         self._most, self._nice = workers, nice
         self._deaths, self._limit_ns = deaths, int(limit_s * 1e9)
-        self._waiting: deque[_Task[J]] = deque()
+        self._waiting: deque[_Task] = deque()
         self._given_up: list[tuple[str, Failure]] = []
         self.replaced = 0
-        self._workers: list[_Worker[J]] = [self._started()]
+        self._workers: list[_Worker] = [self._started()]
 
     @property
     def sockets(self) -> tuple[int, ...]:
@@ -134,7 +146,7 @@ class Crew(Generic[J, R]):
 
         Only the job that a worker has at hand comes before it, and the worker does it at full priority.
         """
-        self._queue(_Task(key, job, first=first))
+        self._queue(_Task(key, pickle.dumps(job), first=first))
 
     def hurry(self, key: str) -> None:
         """Make a job urgent that waits here; one that a worker has got already, or that isn't known, stays as it is."""
@@ -170,7 +182,7 @@ class Crew(Generic[J, R]):
         self._workers, self._given_up = [], []
         self._waiting.clear()
 
-    def _started(self) -> _Worker[J]:
+    def _started(self) -> _Worker:
         ours, its = _SPAWN.Pipe()
         told = (its, os.getpid(), log.service(), log.level())
         process = _SPAWN.Process(
@@ -182,15 +194,14 @@ class Crew(Generic[J, R]):
         news.register(ours.fileno(), select.POLLIN)
         return _Worker(process, ours, news, begun_ns=clock.monotonic_ns())
 
-    def _queue(self, task: _Task[J]) -> None:
+    def _queue(self, task: _Task) -> None:
         at = next((place for place, other in enumerate(self._waiting) if not other.first), len(self._waiting))
         self._waiting.insert(at if task.first else len(self._waiting), task)
         self._hand_out()
 
     def _hand_out(self) -> None:
         while self._waiting:
-            most = _AHEAD + self._waiting[0].first
-            free = [worker for worker in self._workers if not worker.over and len(worker.tasks) < most]
+            free = [worker for worker in self._workers if worker.takes(self._waiting[0])]
             if not free:
                 if all(worker.ready for worker in self._workers):
                     more = min(self._most - len(self._workers), len(self._waiting))
@@ -198,7 +209,7 @@ class Crew(Generic[J, R]):
                 return
             min(free, key=lambda item: len(item.tasks)).give(self._waiting.popleft())
 
-    def _heard(self, worker: _Worker[J]) -> Iterator[tuple[str, R | Failure]]:
+    def _heard(self, worker: _Worker) -> Iterator[tuple[str, R | Failure]]:
         while not worker.over and worker.news.poll(0):
             try:
                 said = worker.pipe.recv()
@@ -216,7 +227,7 @@ class Crew(Generic[J, R]):
                 worker.ended(key)
                 yield key, result
 
-    def _bury(self, worker: _Worker[J]) -> None:
+    def _bury(self, worker: _Worker) -> None:
         """Take its jobs back; the one at hand is to blame."""
         self.replaced += 1
         worker.over = True

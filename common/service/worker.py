@@ -8,6 +8,7 @@ what they work with isn't made for that.
 from __future__ import annotations
 
 import os
+import pickle
 import signal
 import traceback
 from collections import deque
@@ -41,12 +42,12 @@ class Begun:
 
 
 @dataclass(frozen=True)
-class Told(Generic[J]):
-    """A job as it comes by the pipe, with the log level of the moment. ``first``: urgent."""
+class Told:
+    """A job (pickled) as it comes by the pipe, with the log level of the moment. ``first``: urgent."""
 
     level: Level
     key: str
-    job: J
+    job: bytes
     first: bool
 
 
@@ -83,8 +84,8 @@ class _Turns(Generic[J, R]):
 
     def __init__(self, pipe: Connection, work: Callable[[J], R]) -> None:
         self._pipe, self._work = pipe, work
-        self._ordinary: deque[Told[J]] = deque()
-        self._urgent: SimpleQueue[Told[J]] = SimpleQueue()
+        self._ordinary: deque[Told] = deque()
+        self._urgent: SimpleQueue[Told] = SimpleQueue()
         self._urgent_done: SimpleQueue[None] = SimpleQueue()
 
     def run(self) -> None:
@@ -95,7 +96,7 @@ class _Turns(Generic[J, R]):
                 self._hear(self._pipe.recv())
             self._do(self._ordinary.popleft())
 
-    def _hear(self, told: Told[J]) -> None:
+    def _hear(self, told: Told) -> None:
         if told.first:
             self._urgent.put(told)
             self._urgent_done.get()
@@ -110,12 +111,12 @@ class _Turns(Generic[J, R]):
                 self._do(told)
             self._urgent_done.put(None)
 
-    def _do(self, told: Told[J]) -> None:
+    def _do(self, told: Told) -> None:
         if told.level != log.level():  # the service's, which `tagmill log` may have changed
             log.set_level(told.level)
         begun_ns = clock.monotonic_ns()
         try:
-            result: R | Failure = self._work(told.job)
+            result: R | Failure = self._work(pickle.loads(told.job))  # noqa: S301 - from its own service
         except Exception:  # noqa: BLE001 - a bug met by one job is told and costs that job, not the worker
             result = Failure("exception", traceback.format_exc())
         took_ms = (clock.monotonic_ns() - begun_ns) / 1e6

@@ -44,3 +44,7 @@ def work(job: str | int) -> int:
             Path(pipe).read_bytes()  # until its other end was opened and closed
             return _base
     return _base + int(job)
+
+
+def give_back(job: bytes) -> bytes:
+    return job

@@ -8,6 +8,7 @@ import signal
 from collections.abc import Iterator
 from contextlib import closing, contextmanager, suppress
 from pathlib import Path
+from typing import TypeVar
 
 import psutil
 import pytest
@@ -21,6 +22,8 @@ from tests.support.stack import wait_for
 
 pytestmark = pytest.mark.process
 ENOUGH_S = 60.0
+J = TypeVar("J")
+R = TypeVar("R")
 
 
 @pytest.fixture
@@ -29,9 +32,9 @@ def crew(place: Place) -> Iterator[Crew[str | int, int]]:
         yield made
 
 
-def results(crew: Crew[str | int, int], count: int) -> dict[str, int | Failure]:
+def results(crew: Crew[J, R], count: int) -> dict[str, R | Failure]:
     """The next ``count`` results; the poller is woken for each."""
-    got: dict[str, int | Failure] = {}
+    got: dict[str, R | Failure] = {}
     poller = Poller(crew)
 
     def all_there() -> bool:
@@ -64,6 +67,14 @@ def test_each_job_has_one_result(crew: Crew[str | int, int]) -> None:
     assert crew.busy == 20
     assert results(crew, 20) == {f"job-{number}": 1000 + number for number in range(20)}
     assert (crew.busy, crew.replaced, list(crew.finished())) == (0, 0, [])
+
+
+def test_jobs_and_results_that_no_pipe_holds_get_through(place: Place) -> None:
+    large = bytes(400_000)
+    with closing(Crew(crew_jobs.give_back, crew_jobs.prepare, (0,))) as crew:
+        for number in range(4):
+            crew.submit(str(number), large, first=number == 3)
+        assert results(crew, 4) == dict.fromkeys("0123", large)
 
 
 def test_further_workers_start_when_jobs_wait_and_stay(crew: Crew[str | int, int]) -> None:
