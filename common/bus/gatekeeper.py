@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import threading
+from contextlib import suppress
 from pathlib import Path
 
 import zmq
@@ -56,7 +57,8 @@ class Gatekeeper:
         """Stop answering: from here on nobody gets in. Idempotent."""
         if self._bell.closed:
             return
-        self._bell.send(_STOP)
+        with suppress(zmq.Again):  # nobody listens any more
+            self._bell.send(_STOP, zmq.NOBLOCK)
         self._thread.join(_JOIN_S)
         self._bell.close(linger=0)
         self._watch.close()

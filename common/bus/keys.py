@@ -69,9 +69,16 @@ def server_public(folder: Path) -> bytes:
 def authorized_keys(folder: Path) -> frozenset[bytes]:
     """The public keys of all that are let in; raises ConfigError if one can't be read."""
     allowed = folder / "authorized"
-    if not allowed.is_dir():
-        raise ConfigError(f"{allowed} is missing: nobody could reach the command socket; run 'tagmill keys'")
-    return frozenset(_load(path)[0] for path in sorted(allowed.glob("*.key")))
+    try:
+        paths = sorted(path for path in allowed.iterdir() if path.suffix == ".key")
+    except (FileNotFoundError, NotADirectoryError):
+        raise ConfigError(f"{allowed} is missing: nobody could reach the command socket; run 'tagmill keys'") from None
+    except OSError as error:
+        raise ConfigError(
+            f"{allowed} can't be read ({error.strerror}): nobody could reach the command socket; it must belong to the "
+            "user that tagmill runs as"
+        ) from error
+    return frozenset(_load(path)[0] for path in paths)
 
 
 def _load_secret(path: Path) -> KeyPair:

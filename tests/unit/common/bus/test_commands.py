@@ -268,6 +268,19 @@ def test_nobody_gets_in_when_the_keys_become_unreadable(tcp: Endpoints, keys: Pa
             client.request({"command": "status"}, timeout_s=0.3)
 
 
+def test_a_key_folder_that_cannot_be_read_for_a_while_ends_nothing(tcp: Endpoints, keys: Path) -> None:
+    allowed, away = keys / "authorized", keys / "away"
+    with serving(tcp, keys):
+        allowed.rename(away)
+        allowed.symlink_to("x" * 300)  # an OSError for root too, whom no mode keeps out
+        with CommandClient(tcp, keys_dir=keys) as client, pytest.raises(NoAnswerError):
+            client.request({"command": "status"}, timeout_s=0.3)
+        allowed.unlink()
+        away.rename(allowed)
+        with CommandClient(tcp, keys_dir=keys) as client:
+            assert client.request({"command": "status"})["ok"] is True
+
+
 def test_missing_or_open_keys_are_a_configuration_error(tcp: Endpoints, keys: Path, tmp_path: Path) -> None:
     with pytest.raises(ConfigError, match="tagmill keys"):
         CommandServer(tcp, tmp_path / "nowhere")
