@@ -53,6 +53,8 @@ class Catalog:
             return
         for name in changed.samples:
             self._move(name, to_bin=changed.what == "deleted")
+        if self._reading.locked():  # what is being read may be from before
+            self._wanted = True
 
     def heard_session(self, session: str | None) -> None:
         """Which session is open, as control says."""

@@ -5,6 +5,8 @@ from __future__ import annotations
 import asyncio
 from typing import Any
 
+import pytest
+
 from common.messages import SamplesChanged, Stamp
 from services.console.catalog import Catalog
 
@@ -89,6 +91,31 @@ def test_a_sample_is_found_where_it_was_moved_to_before_the_news_of_it_come() ->
     catalog.hear(news(1, "restored", "x"))
     assert asyncio.run(catalog.look_up("x", binned=True)) == (None, None)
     assert asyncio.run(catalog.look_up("x", binned=False)) == (item, None)
+
+
+@pytest.mark.parametrize("whole", [True, False], ids=["all is read", "what is new is read"])
+def test_a_sample_that_is_moved_while_the_list_is_read_is_not_found_where_it_was(whole: bool) -> None:
+    store = Store("a")
+
+    async def ask(fields: Plain, limit_s: float) -> Plain:
+        answer = await store.ask(fields, limit_s)
+        if moving and not fields["filter"]["bin"]:
+            store.stored.remove("a")
+            store.binned.append("a")
+            catalog.hear(news(moving.pop(), "deleted", "a"))
+        return answer
+
+    moving: list[int] = []
+    catalog = Catalog(ask)
+    refreshed(catalog)
+    store.stored.append("b")
+    catalog.hear(news(1, "stored", "b"))
+    if whole:
+        catalog.heard_session("another")
+    moving.append(2)
+    refreshed(catalog)
+    refreshed(catalog)
+    assert (catalog.stored.keys(), catalog.binned.keys()) == ({"b"}, {"a"})
 
 
 def test_missed_news_another_session_and_an_unknown_sample_make_it_read_anew() -> None:
