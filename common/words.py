@@ -80,7 +80,8 @@ WORDS: dict[str, Words] = {
     "no_recording": Words("There is no such recording.", "'tagmill status' lists those that run."),
     "no_session": Words("No session is open.", "'tagmill status' says why; open one with 'tagmill session NAME'."),
     "session_differs": Words(
-        "That session was recorded with another rig.", "Open another session, or add --new-if-different."
+        "That session was recorded with another rig.",
+        "Name another dataset.session in the rig file, or put the rig back; 'tagmill up --new-session' opens name-2.",
     ),
     "session_busy": Words("Another stack writes to that session.", "Stop it, or choose another session."),
     "bad_name": Words("That name can't be used.", "Use letters, digits, '.', '_' and '-'."),

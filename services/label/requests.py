@@ -47,6 +47,8 @@ class Request:
     samples: list[str] = field(default_factory=list)
     last_reason: str = "no_frame"
     last_message: str | None = None
+    spoilt: ErrorInfo | None = None
+    """Why the last sample that came to an end was none; a sample that is stored clears it."""
     next_due_ns: int = 0
     answered: bool = False
     held: bool = False
@@ -125,11 +127,13 @@ class Request:
         """A sample is durable."""
         self.account.stored(sample)
         self.samples.append(sample)
+        self.spoilt = None
 
     def failed(self, sample: str, reason: str, message: str | None) -> None:
         """A sample was refused on its way."""
         self.account.failed(sample, reason)
         self.last_reason, self.last_message = reason, message
+        self.spoilt = ErrorInfo(code=reason, message=message or explain(reason))
         if self.order.frame is not None:
             self.deadline_ns = 0
 
@@ -145,17 +149,20 @@ class Request:
             return Answer(key=self.order.key, samples=tuple(self.samples))
         if self.held and self.last_reason == "no_frame":
             self.last_reason, self.last_message = "store_down", None
+        error = ErrorInfo(code=self.last_reason, message=self.last_message or explain(self.last_reason))
         if pending:
-            stopping = self.last_reason == "stopping"
-            when = "when tagmill was stopped" if stopping else f"after {self.order.timeout_s:g} s"
-            error = ErrorInfo(
-                code="stopping" if stopping else "timeout",
-                message=f"{len(pending)} sample(s) were not durable {when}; "
-                "they are kept and the ledger will settle them",
-            )
-        else:
-            error = ErrorInfo(code=self.last_reason, message=self.last_message or explain(self.last_reason))
+            error = self._unfinished(len(pending))
         return Answer(key=self.order.key, samples=tuple(self.samples), pending=pending, error=error)
+
+    def _unfinished(self, pending: int) -> ErrorInfo:
+        """Why not all is durable while samples are still under way."""
+        stopping = self.last_reason == "stopping"
+        when = "when tagmill was stopped" if stopping else f"after {self.order.timeout_s:g} s"
+        words = f"{pending} sample(s) were not durable {when}; they are kept and the ledger will settle them"
+        if self.spoilt is not None and not stopping:
+            # The one under way will most likely go the way of those before: say what is wrong, not that time is up.
+            return ErrorInfo(code=self.spoilt.code, message=f"{self.spoilt.message} ({words})")
+        return ErrorInfo(code="stopping" if stopping else "timeout", message=words)
 
     def spec(self) -> RecordingSpec:
         """As an entry of the ledger."""

@@ -31,7 +31,7 @@ class SessionDiffersError(RefusedError):
     def __init__(self, folder: Path, found: tuple[str, ...]) -> None:
         super().__init__(
             f"session {folder.name} in {folder.parent} was recorded with another rig: {'; '.join(found)}; "
-            "choose another session, or start a new one (--new-session)"
+            "put the rig back, or choose another session"
         )
         self.differences = found
 

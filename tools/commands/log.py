@@ -13,6 +13,8 @@ from common.service.levels import ALL, read_levels, write_level
 from tools.commands.client import network_of
 
 _DEFAULT = "default"
+_SERVICES = frozenset({"capture", "console", "control", "detect", "label", "store"})
+"""The run folder's other locks are sockets'."""
 
 
 def add_parser(parser: argparse.ArgumentParser) -> None:
@@ -41,7 +43,7 @@ def run(args: argparse.Namespace) -> int:
 def _refuse_unknown(endpoints: Endpoints, service: str) -> None:
     folder = endpoints.run_dir
     locks = sorted(folder.glob("*.lock")) if folder.is_dir() else []
-    running = [lock.stem for lock in locks if holder_of(lock) is not None]
+    running = [lock.stem for lock in locks if lock.stem.split(".")[0] in _SERVICES and holder_of(lock) is not None]
     if not running:
         raise RefusedError(f"no stack runs in {folder}; start it with 'tagmill up'", code="no_supervisor")
     if service != ALL and service not in running:

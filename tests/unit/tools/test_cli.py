@@ -298,7 +298,7 @@ def test_reload_session_preview_and_help(control: Stub, capsys: pytest.CaptureFi
     told = capsys.readouterr().out
     for part in (
         "taken over: cameras",
-        "supervisorctl restart capture.cam0",
+        " restart capture-cam0",
         "monday-2 is open",
         "whole number 1..1000",
     ):

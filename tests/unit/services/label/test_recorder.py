@@ -132,6 +132,31 @@ def test_a_late_sample_is_pending_in_the_answer_and_settled_by_the_ledger(bench:
     assert ledger.account.settled
 
 
+def test_a_late_sample_does_not_hide_what_the_ones_before_were_refused_for(bench: Bench) -> None:
+    bench.recorder.record(order(count=2, timeout_s=0.0))
+    bench.frame(1)
+    bench.end("s1", "disk_full")
+    bench.frame(2)
+    bench.tick()
+    (answer,) = bench.answers
+    assert answer.pending == ("s2",)
+    assert answer.error is not None
+    assert answer.error.code == "disk_full"
+    assert "1 sample(s) were not durable" in answer.error.message
+
+
+def test_a_sample_that_was_stored_clears_what_was_wrong_before(bench: Bench) -> None:
+    bench.recorder.record(order(count=2, timeout_s=0.0))
+    bench.frame(1)
+    bench.end("s1", "disk_full")
+    bench.frame(2)
+    bench.end("s2")
+    bench.frame(3)
+    bench.tick()
+    assert bench.answers[0].error is not None
+    assert bench.answers[0].error.code == "timeout"
+
+
 def test_a_repeated_order_is_the_same_order(bench: Bench) -> None:
     assert bench.recorder.record(order(frame=4)) is not None
     assert bench.recorder.record(order(frame=4)) is None, "whoever looks for its frame again finds it gone"
