@@ -81,7 +81,8 @@ WORDS: dict[str, Words] = {
     "no_session": Words("No session is open.", "'tagmill status' says why; open one with 'tagmill session NAME'."),
     "session_differs": Words(
         "That session was recorded with another rig.",
-        "Name another dataset.session in the rig file, or put the rig back; 'tagmill up --new-session' opens name-2.",
+        "Choose another session (for a reload: dataset.session), or put the rig back; 'tagmill session NAME "
+        "--new-if-different' and 'tagmill up --new-session' open NAME-2.",
     ),
     "session_busy": Words("Another stack writes to that session.", "Stop it, or choose another session."),
     "bad_name": Words("That name can't be used.", "Use letters, digits, '.', '_' and '-'."),

@@ -158,10 +158,11 @@ class Request:
         """Why not all is durable while samples are still under way."""
         stopping = self.last_reason == "stopping"
         when = "when tagmill was stopped" if stopping else f"after {self.order.timeout_s:g} s"
-        words = f"{pending} sample(s) were not durable {when}; they are kept and the ledger will settle them"
         if self.spoilt is not None and not stopping:
             # The one under way will most likely go the way of those before: say what is wrong, not that time is up.
-            return ErrorInfo(code=self.spoilt.code, message=f"{self.spoilt.message} ({words})")
+            words = f"{self.spoilt.message}; {pending} more under way {when}, the ledger will say what becomes of it"
+            return ErrorInfo(code=self.spoilt.code, message=words)
+        words = f"{pending} sample(s) were not durable {when}; they are kept and the ledger will settle them"
         return ErrorInfo(code="stopping" if stopping else "timeout", message=words)
 
     def spec(self) -> RecordingSpec:

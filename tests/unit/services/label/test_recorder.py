@@ -142,7 +142,7 @@ def test_a_late_sample_does_not_hide_what_the_ones_before_were_refused_for(bench
     assert answer.pending == ("s2",)
     assert answer.error is not None
     assert answer.error.code == "disk_full"
-    assert "1 sample(s) were not durable" in answer.error.message
+    assert "1 more under way" in answer.error.message
 
 
 def test_a_sample_that_was_stored_clears_what_was_wrong_before(bench: Bench) -> None:
