@@ -229,7 +229,7 @@ def turn_columns(turned: Array) -> Array:
 def _solve(information: Array, gradient: Array, damping: float) -> Array | None:
     damped = information.copy()
     damped.reshape(-1)[::7] *= 1.0 + damping
-    solved, found = cv2.solve(damped, -gradient)
+    solved, found = cv2.solve(damped, -gradient[:, None])  # OpenCV 5 takes no vector
     if not solved:
         return None
     step: Array = np.asarray(found, dtype=np.float64).ravel()

@@ -228,7 +228,7 @@ class PatternFit:
             jacobian = jacobian[:-2]
             normal, right = jacobian @ jacobian.T, jacobian @ residual
         normal.flat[:: len(normal) + 1] *= 1.0 + 1e-6
-        solved, found = cv2.solve(normal, right, flags=cv2.DECOMP_LU)
+        solved, found = cv2.solve(normal, right[:, None], flags=cv2.DECOMP_LU)  # OpenCV 5 takes no vector
         step = np.asarray(found, dtype=np.float64).ravel()
         return solved and bool(np.isfinite(step).all()) and self._move(step, everything)
 

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import argparse
+from pathlib import Path
 import json
 from typing import get_args
 
@@ -13,8 +14,8 @@ from common.service.levels import ALL, read_levels, write_level
 from tools.commands.client import network_of
 
 _DEFAULT = "default"
-_SERVICES = frozenset({"capture", "console", "control", "detect", "label", "store"})
-"""The run folder's other locks are sockets'."""
+_COMMAND = "command"
+"""The command socket's lock, which has no socket file beside it where that listens on TCP."""
 
 
 def add_parser(parser: argparse.ArgumentParser) -> None:
@@ -43,8 +44,12 @@ def run(args: argparse.Namespace) -> int:
 def _refuse_unknown(endpoints: Endpoints, service: str) -> None:
     folder = endpoints.run_dir
     locks = sorted(folder.glob("*.lock")) if folder.is_dir() else []
-    running = [lock.stem for lock in locks if lock.stem.split(".")[0] in _SERVICES and holder_of(lock) is not None]
+    running = [lock.stem for lock in locks if not _of_a_socket(lock) and holder_of(lock) is not None]
     if not running:
         raise RefusedError(f"no stack runs in {folder}; start it with 'tagmill up'", code="no_supervisor")
     if service != ALL and service not in running:
         raise RefusedError(f"no service '{service}' runs; there are {', '.join(running)}", code="unknown_service")
+
+
+def _of_a_socket(lock: Path) -> bool:
+    return lock.stem == _COMMAND or lock.with_suffix("").is_socket()
