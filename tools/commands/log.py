@@ -3,8 +3,8 @@
 from __future__ import annotations
 
 import argparse
-from pathlib import Path
 import json
+from pathlib import Path
 from typing import get_args
 
 from common.bus import Endpoints, holder_of
