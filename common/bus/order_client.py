@@ -6,7 +6,7 @@ import zmq
 
 from common import clock, log
 from common.bus.order_table import OrderTable
-from common.bus.sockets import ROOM_FOR_FRAMING, Socket, drain, new_socket
+from common.bus.sockets import GOODBYE, ROOM_FOR_FRAMING, Socket, drain, new_socket
 from common.errors import CodecError
 from common.messages import MAX_BYTES, Answer, Order, decode, encode
 
@@ -72,6 +72,9 @@ class OrderClient:
         if self._socket is None:
             raise ValueError("the order client is closed")
         for parts in drain(self._socket, _MAX_DRAIN):
+            if parts[-1] == GOODBYE:  # the server goes when it knows that its last answers were read
+                self._transmit(GOODBYE)
+                continue
             try:
                 answer = decode(Answer, parts[-1])
             except CodecError as error:

@@ -8,14 +8,16 @@ from typing import Any, get_args
 
 import zmq
 
-from common import log
-from common.bus.sockets import ROOM_FOR_FRAMING, Binding, Socket, drain, new_socket, reply
+from common import clock, log
+from common.bus.sockets import GOODBYE, ROOM_FOR_FRAMING, Binding, Socket, drain, new_socket, reply
 from common.errors import CodecError
 from common.messages import MAX_BYTES, Answer, ErrorInfo, Order, encode, unpack, validate
 
 _LOG = log.get()
 _MAX_DRAIN = 256
 _QUEUE = 1000
+_RECENT_NS = 1_000_000_000
+_GOODBYE_NS = 1_000_000_000
 
 
 @dataclass(frozen=True, slots=True)
@@ -39,6 +41,7 @@ class OrderServer:
         self.bad = 0
         self.unreachable = 0
         self._kinds = _by_kind(kinds)
+        self._answered_ns: dict[bytes, int] = {}
         self._socket = new_socket(
             zmq.ROUTER,
             {
@@ -64,6 +67,8 @@ class OrderServer:
         """The orders that are there, without waiting; garbage is counted and, if possible, answered."""
         orders: list[tuple[Return, Order]] = []
         for identity, *parts in drain(self._socket, _MAX_DRAIN):
+            if parts[-1:] == [GOODBYE]:  # meant for the server before this one
+                continue
             return_ = Return(identity)
             plain: Any = None
             try:
@@ -75,12 +80,31 @@ class OrderServer:
 
     def answer(self, return_: Return, answer: Answer) -> None:
         """Send the final answer; never blocks, an unreachable client is counted."""
-        if not reply(self._socket, (return_.identity, encode(answer))):
+        if reply(self._socket, (return_.identity, encode(answer))):
+            self._answered_ns[return_.identity] = clock.monotonic_ns()
+        else:
             self.unreachable += 1
 
     def close(self) -> None:
-        """Remove the socket file and close; idempotent."""
+        """Remove the socket file and close, once the last answers are read or a second has passed; idempotent."""
+        if not self._socket.closed:
+            self._part()
         self._binding.release()
+
+    def _part(self) -> None:
+        """Wait for who was answered a moment ago: a client's socket drops what it hasn't read when its server goes.
+
+        (ZMQ_IMMEDIATE has it do so; without, orders that nobody sees would wait in it for the next server.)
+        """
+        now = clock.monotonic_ns()
+        recent = [identity for identity, at_ns in self._answered_ns.items() if now - at_ns < _RECENT_NS]
+        waiting = {identity for identity in recent if reply(self._socket, (identity, GOODBYE))}
+        deadline = now + _GOODBYE_NS
+        while waiting and (left_ms := (deadline - clock.monotonic_ns()) // 1_000_000) > 0:
+            self._socket.poll(left_ms, zmq.POLLIN)
+            for identity, *parts in drain(self._socket, _MAX_DRAIN):
+                if parts[-1:] == [GOODBYE]:  # an order that comes now is given again to the next server
+                    waiting.discard(identity)
 
     def _order(self, plain: Any) -> Order:
         kind = plain.get("kind") if isinstance(plain, dict) else None

@@ -22,6 +22,8 @@ ROOM_FOR_FRAMING = 4096
 """Socket-level limits are this much above the codec's, so that only what is far too large costs the connection."""
 
 _BACKLOG = 128
+GOODBYE = b"\xc1goodbye"
+"""Between an order server that closes and its clients; no MessagePack begins like this."""
 LAST_ANSWERS_MS = 1000
 """What was answered just before the end leaves first: ZeroMQ's own thread may wait for a core longer than that."""
 READABLE = int(zmq.POLLIN)

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Iterator
 from contextlib import ExitStack, closing
+from threading import Thread
 
 import msgpack
 import pytest
@@ -11,7 +12,7 @@ import zmq
 from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
 
-from common.bus import Endpoints, OrderClient, OrderServer, Poller, Return
+from common.bus import Endpoints, OrderClient, OrderServer, Poller, Return, order_server
 from common.errors import NameTakenError, RefusedError
 from common.messages import (
     MAX_BYTES,
@@ -28,7 +29,8 @@ from tests.support.stack import wait_for
 
 
 @pytest.fixture
-def server(endpoints: Endpoints) -> Iterator[OrderServer]:
+def server(endpoints: Endpoints, monkeypatch: pytest.MonkeyPatch) -> Iterator[OrderServer]:
+    monkeypatch.setattr(order_server, "_GOODBYE_NS", 0)
     with closing(OrderServer(endpoints.orders_store, StoreSideOrder, "store")) as made:
         yield made
 
@@ -66,6 +68,46 @@ def answers(client: OrderClient, count: int = 1) -> list[Answer]:
     poller, got = Poller(client), list[Answer]()
     wait_for(lambda: got.extend(client.receive()) or len(got) >= count or (poller.wait(0.05) and False), 10, "answers")
     return got
+
+
+def test_a_server_goes_when_its_last_answers_are_read(
+    endpoints: Endpoints, connect: Callable[..., OrderClient], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(order_server, "_GOODBYE_NS", 60_000_000_000)
+    server = OrderServer(endpoints.orders_store, StoreSideOrder)
+    client = connect()
+    for number in range(20):
+        client.send(SessionOrder(key=f"k{number}", name="monday"))
+    for back, order in orders(server, 20):
+        server.answer(back, Answer(key=order.key, text="opened"))
+    going = Thread(target=server.close)
+    going.start()
+    going.join(0.2)
+    assert len(answers(client, 20)) == 20
+    going.join()
+
+
+def test_a_server_does_not_wait_for_ever_and_what_was_not_read_is_asked_again(
+    endpoints: Endpoints, connect: Callable[..., OrderClient]
+) -> None:
+    server = OrderServer(endpoints.orders_store, StoreSideOrder)
+    client = connect()
+    client.send(SessionOrder(key="k", name="monday"))
+    [(back, _)] = orders(server)
+    server.answer(back, Answer(key="k", text="opened"))
+    server.close()
+    server.close()
+    wait_for(lambda: not client.available, 10, "the connection's end")
+    with closing(OrderServer(endpoints.orders_store, StoreSideOrder)) as second:
+
+        def answered() -> list[Answer]:
+            client.peer_seen("s2")
+            for return_, order in second.receive():
+                second.answer(return_, Answer(key=order.key, text="opened"))
+            return client.receive()
+
+        assert wait_for(answered, 10, "the answer") == [Answer(key="k", text="opened")]
+        assert client.pending == ()
 
 
 def test_an_order_is_answered_once(server: OrderServer, connect: Callable[..., OrderClient]) -> None:
