@@ -294,6 +294,6 @@ CAUSES = {
     "clock set": Cause(_clock, "clock"),
     "1,000 clients": Cause(_clients),
     "subscriber that never reads": Cause(_deaf, "subscriber"),
-    "ten viewers": Cause(_viewers),
+    "ten viewers": Cause(_viewers, "control"),  # which is asked for the console's address: stopped, it never answers
     "supervisord restarted": Cause(_supervisor, EVERYTHING),
 }
