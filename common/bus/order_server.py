@@ -18,6 +18,7 @@ _MAX_DRAIN = 256
 _QUEUE = 1000
 _RECENT_NS = 1_000_000_000
 _GOODBYE_NS = 1_000_000_000
+"""A server that goes waits so long for who was answered so recently."""
 
 
 @dataclass(frozen=True, slots=True)

@@ -149,9 +149,10 @@ class Request:
             return Answer(key=self.order.key, samples=tuple(self.samples))
         if self.held and self.last_reason == "no_frame":
             self.last_reason, self.last_message = "store_down", None
-        error = ErrorInfo(code=self.last_reason, message=self.last_message or explain(self.last_reason))
         if pending:
             error = self._unfinished(len(pending))
+        else:
+            error = ErrorInfo(code=self.last_reason, message=self.last_message or explain(self.last_reason))
         return Answer(key=self.order.key, samples=tuple(self.samples), pending=pending, error=error)
 
     def _unfinished(self, pending: int) -> ErrorInfo:

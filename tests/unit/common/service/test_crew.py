@@ -61,6 +61,17 @@ def held_open(fifo: Path) -> Iterator[None]:
     os.close(opened[0])
 
 
+@contextmanager
+def four_waiting(crew: Crew[str | int, int], folder: Path) -> Iterator[None]:
+    """Give ``job-0`` to ``job-3`` to a crew whose one worker is held up by ``at-hand`` meanwhile."""
+    os.mkfifo(folder / "pipe")
+    crew.submit("at-hand", f"until {folder / 'pipe'}")
+    with held_open(folder / "pipe"):
+        for number in range(4):
+            crew.submit(f"job-{number}", number)
+        yield
+
+
 def test_each_job_has_one_result(crew: Crew[str | int, int]) -> None:
     for number in range(20):
         crew.submit(f"job-{number}", number)
@@ -90,12 +101,8 @@ def test_further_workers_start_when_jobs_wait_and_stay(crew: Crew[str | int, int
 
 
 def test_what_is_urgent_is_next_after_the_job_at_hand(place: Place, tmp_path: Path) -> None:
-    os.mkfifo(tmp_path / "pipe")
     with closing(Crew(crew_jobs.work, crew_jobs.prepare, (1000,), workers=1)) as crew:
-        crew.submit("at-hand", f"until {tmp_path / 'pipe'}")
-        with held_open(tmp_path / "pipe"):
-            for number in range(4):
-                crew.submit(f"job-{number}", number)
+        with four_waiting(crew, tmp_path):
             for number in (10, 11):
                 crew.submit(f"urgent-{number}", number, first=True)
         order = list(results(crew, 7))
@@ -106,12 +113,8 @@ def test_what_is_urgent_is_next_after_the_job_at_hand(place: Place, tmp_path: Pa
 
 
 def test_a_job_that_waits_can_be_made_urgent(place: Place, tmp_path: Path) -> None:
-    os.mkfifo(tmp_path / "pipe")
     with closing(Crew(crew_jobs.work, crew_jobs.prepare, (1000,), workers=1)) as crew:
-        crew.submit("at-hand", f"until {tmp_path / 'pipe'}")
-        with held_open(tmp_path / "pipe"):
-            for number in range(4):
-                crew.submit(f"job-{number}", number)
+        with four_waiting(crew, tmp_path):
             for key in ("job-3", "at-hand", "nobody"):
                 crew.hurry(key)
         assert list(results(crew, 5)) == ["at-hand", "job-3", "job-0", "job-1", "job-2"]
